@@ -13,7 +13,7 @@ import numpy as np
 from scenes.sources.materials.catalogue import MATERIALS
 from scenes.sources.materials.graph import Color, Graph
 from scenes.sources.materials.surfaces import SURFACES
-from scenes.sources.shapes import Point, Shape
+from scenes.sources.shapes import Shape
 
 SMOOTH_DEGREES = 42.0  # edges with larger angles stay sharp; a two-step bevel has 30 degrees per step
 AUTHOR = "the scene-materials authors"
@@ -108,10 +108,6 @@ class PartBuilder:
             self._materials[name] = material
         return self._materials[name]
 
-    def _uv_factor(self, slot: str) -> float:
-        source = self.slots[slot].source
-        return 1.0 / MATERIALS[source].tile_size_m if source else 1.0
-
     def mesh(self, part: str) -> bpy.types.Mesh:
         """Create the mesh of a part's shapes, with a material slot for each slot."""
         pieces = self.parts[part]
@@ -123,7 +119,8 @@ class PartBuilder:
                 # each shape shows another part of the pattern
                 self._count += 1
                 shift = np.array([0.6180339887, 0.7548776662]) * self._count % 1.0
-                uv = uv * self._uv_factor(slot) + shift
+                source = self.slots[slot].source
+                uv = uv * (1.0 / MATERIALS[source].tile_size_m if source else 1.0) + shift
                 uv = uv - np.floor(uv.min(axis=0))
             points.append(shape.points)
             faces += [tuple(i + offset for i in face) for face in shape.faces]
@@ -142,9 +139,8 @@ class PartBuilder:
         mesh.update()
         return mesh
 
-    def build(self, collection: bpy.types.Collection) -> list[bpy.types.Object]:
+    def build(self, collection: bpy.types.Collection) -> None:
         """Create the objects of all parts in ``collection``."""
-        made = []
         for part in self.parts:
             mesh = self.mesh(part)
             for matrix in self.places.get(part, [np.eye(4)]):
@@ -153,86 +149,31 @@ class PartBuilder:
                 collection.objects.link(thing)
                 weighted = thing.modifiers.new("Normals", "WEIGHTED_NORMAL")
                 weighted.keep_sharp = True
-                made.append(thing)
-        return made
 
 
-def rectangle_marker(
-    collection: bpy.types.Collection,
-    role: str,
-    name: str,
-    origin: Point,
-    edge_u: Point,
-    edge_v: Point,
-    **tags: object,
-) -> bpy.types.Object:
-    """Add a rectangular marker whose local +Z is edge_u x edge_v; the edges [m] must be perpendicular."""
-    u, v = np.array(edge_u, dtype=float), np.array(edge_v, dtype=float)
-    lu, lv = np.linalg.norm(u), np.linalg.norm(v)
-    mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata([(0, 0, 0), (lu, 0, 0), (lu, lv, 0), (0, lv, 0)], [], [(0, 1, 2, 3)])
-    thing = bpy.data.objects.new(name, mesh)
-    matrix = np.eye(4)
-    matrix[:3, 0], matrix[:3, 1] = u / lu, v / lv
-    matrix[:3, 2] = np.cross(matrix[:3, 0], matrix[:3, 1])
-    matrix[:3, 3] = origin
-    thing.matrix_world = matrix.T.tolist()
-    return _tagged(collection, thing, role, tags)
-
-
-def box_marker(collection: bpy.types.Collection, name: str, low: Point, high: Point) -> bpy.types.Object:
-    """Add the marker of a camera region: the box from ``low`` to ``high`` [m]."""
-    corners = [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
-    mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata(
-        corners, [], [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    )
-    return _tagged(collection, bpy.data.objects.new(name, mesh), "camera_region", {})
-
-
-def point_marker(collection: bpy.types.Collection, name: str, at: Point) -> bpy.types.Object:
-    """Add the marker of a light slot for a point light."""
-    x, y, z = at
-    return rectangle_marker(
-        collection, "light_slot", name, (x - 0.01, y - 0.01, z), (0.02, 0, 0), (0, 0.02, 0), sm_kind="point"
-    )
-
-
-def _tagged(
-    collection: bpy.types.Collection, thing: bpy.types.Object, role: str, tags: dict[str, object]
-) -> bpy.types.Object:
-    thing["sm_role"] = role
+def tag(data: bpy.types.ID, **tags: object) -> None:
+    """Set custom properties of an object, collection or material, which the add-on reads."""
     for key, value in tags.items():
-        thing[key] = value
-    thing.hide_render = False
-    collection.objects.link(thing)
-    return thing
+        data[key] = value
+
+
+def _identify(data: bpy.types.ID, role: str, identity: str, title: str) -> None:
+    tag(data, sm_role=role, sm_id=identity, sm_title=title, sm_license=LICENSE, sm_author=AUTHOR)
 
 
 def tagged_collection(role: str, identity: str, title: str, **tags: object) -> bpy.types.Collection:
     """Create a collection that the add-on exports as one package."""
     collection = bpy.data.collections.new(identity)
     bpy.context.scene.collection.children.link(collection)
-    values = {
-        "sm_role": role,
-        "sm_id": identity,
-        "sm_title": title,
-        "sm_license": LICENSE,
-        "sm_author": AUTHOR,
-    }
-    for key, value in {**values, **tags}.items():
-        collection[key] = value
+    _identify(collection, role, identity, title)
+    tag(collection, **tags)
     return collection
 
 
 def tag_material(material: bpy.types.Material, identity: str) -> None:
     """Tag a material for export as a separate package."""
     source = MATERIALS[identity]
-    tags: Iterable[tuple[str, object]] = (
-        ("sm_role", "material"), ("sm_id", identity), ("sm_title", source.title), ("sm_license", LICENSE),
-        ("sm_author", AUTHOR), ("sm_class", ", ".join(source.classes)), ("sm_tile_size_m", source.tile_size_m),
-    )  # fmt: skip
-    for key, value in tags:
-        material[key] = value
+    _identify(material, "material", identity, source.title)
+    tag(material, sm_class=", ".join(source.classes), sm_tile_size_m=source.tile_size_m)
     if identity in SURFACES:
-        material["sm_surfaces"] = ", ".join(SURFACES[identity].split())
+        tag(material, sm_surfaces=", ".join(SURFACES[identity].split()))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import bmesh
 import numpy as np
@@ -279,21 +279,14 @@ def cylinder(
 
 
 def tube(
-    path: ArrayLike,
-    radius: ArrayLike,
-    segments: int = 10,
-    smooth: int = 0,
-    closed: bool = False,
+    path: ArrayLike, radius: ArrayLike, segments: int = 10, smooth: int = 0, closed: bool = False
 ) -> Shape:
     """A round bar along ``path`` (k, 3) with rounded ends; ``radius`` is a number or (k,)."""
+    p = np.asarray(path, dtype=float)
+    r = np.broadcast_to(np.asarray(radius, dtype=float), len(p))
     if smooth:
-        k = len(np.asarray(path))
-        radii = np.full(k, radius) if np.ndim(radius) == 0 else np.asarray(radius, dtype=float)
-        curve = smooth_curve(np.column_stack([np.asarray(path, dtype=float), radii]), smooth, closed)
+        curve = smooth_curve(np.column_stack([p, r]), smooth, closed)
         p, r = curve[:, :3], curve[:, 3]
-    else:
-        p = np.asarray(path, dtype=float)
-        r = np.full(len(p), radius) if np.ndim(radius) == 0 else np.asarray(radius, dtype=float)
     tangents = (
         np.roll(p, -1, axis=0) - np.roll(p, 1, axis=0) if closed else np.gradient(p, axis=0, edge_order=1)
     )
@@ -382,13 +375,17 @@ def rounded_rectangle(width: float, depth: float, radius: float, steps: int = 4)
     corners = (((1, 1), 0.0), ((-1, 1), 90.0), ((-1, -1), 180.0), ((1, -1), 270.0))
     for (sx, sy), start in corners:
         for angle in np.radians(start + np.linspace(0, 90, steps + 1)):
-            outline.append(
-                (
-                    sx * (width / 2 - radius) + radius * np.cos(angle),
-                    sy * (depth / 2 - radius) + radius * np.sin(angle),
-                )
-            )
+            x = sx * (width / 2 - radius) + radius * np.cos(angle)
+            outline.append((x, sy * (depth / 2 - radius) + radius * np.sin(angle)))
     return outline
+
+
+def rounded_ring(
+    width: float, depth: float, radius: float, z: float, y: float = 0.0, steps: int = 5
+) -> NDArray:
+    """A :func:`rounded_rectangle` about (0, y) at height ``z``, (4 (steps + 1), 3), for :func:`loft`."""
+    outline = np.array(rounded_rectangle(width, depth, radius, steps))
+    return np.column_stack([outline[:, 0], outline[:, 1] + y, np.full(len(outline), z)])
 
 
 def sheet(points: NDArray, thickness: float) -> Shape:
@@ -409,12 +406,7 @@ def sheet(points: NDArray, thickness: float) -> Shape:
     )
     index = [r * columns + c for r, c in border]
     count = rows * columns
-    uv_of = {}
-    start = 0
-    for corners in face.faces:
-        for k, i in enumerate(corners):
-            uv_of[i] = face.uvs[start + k]
-        start += len(corners)
+    uv_of = dict(zip(chain.from_iterable(face.faces), face.uvs, strict=True))
     faces, uvs = list(shape.faces), [shape.uvs]
     for i, j in zip(index, index[1:] + index[:1], strict=True):
         faces.append((i, i + count, j + count, j))
@@ -439,10 +431,8 @@ def soft_box(
     mesh = bmesh.new()
     bmesh.ops.create_cube(mesh, size=2.0)
     bmesh.ops.subdivide_edges(mesh, edges=list(mesh.edges), cuts=steps - 1, use_grid_fill=True)
-    mesh.verts.index_update()
-    unit = np.array([v.co[:] for v in mesh.verts])
-    faces = [tuple(v.index for v in face.verts) for face in mesh.faces]
-    mesh.free()
+    cube = from_bmesh(mesh)
+    unit, faces = cube.points, cube.faces
     half = np.asarray(size) / 2
     # more lattice lines near the edges, where the surface curves
     unit = np.sign(unit) * np.sin(np.abs(unit) * np.pi / 2) ** 0.8
@@ -481,6 +471,17 @@ def pillow(size: Point, steps: int = 14, pinch: float = 0.07, wrinkle: float = 0
     # the underside is flatter
     bottom = grid(np.stack([x, y, -0.8 * size[2] / 2 * height], axis=-1)).flipped()
     return without_degenerate(top + bottom).moved(z=0.8 * size[2] / 2)
+
+
+def frame(
+    width: float, height: float, bar: float, depth: float, at: Point, bevel: float = 0.004, segments: int = 1
+) -> list[Shape]:
+    """Two level bars of width ``bar`` and two uprights between them, with their bottom centre at ``at``."""
+    x, y, z = at
+    levels, sides = (z, z + height - bar), ((width - bar) / 2 * side for side in (-1, 1))
+    across = [box((width, depth, bar), (x, y, level), bevel, segments, grain=0) for level in levels]
+    size = (bar, depth, height - 2 * bar)
+    return across + [box(size, (x + side, y, z + bar), bevel, segments, grain=2) for side in sides]
 
 
 def panel(width: float, height: float, at: Point = (0.0, 0.0, 0.0)) -> Shape:

@@ -6,18 +6,12 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from scenes.sources.environments import (
-    bathroom_furniture,
-    decor,
-    kitchen_furniture,
-    slots,
-    storage,
-)
+from scenes.sources.environments import bathroom_furniture, decor, kitchen_furniture, slots, storage
 from scenes.sources.environments.registry import environment
 from scenes.sources.environments.room import Door, Room, Window
 from scenes.sources.materials.graph import srgb
 from scenes.sources.modelling import PartBuilder, Slot
-from scenes.sources.shapes import Shape, box, lathe, loft, rounded_rectangle, soft_box, tube
+from scenes.sources.shapes import Shape, box, lathe, loft, rounded_ring, soft_box, tube
 
 TILED = 1.3
 
@@ -57,7 +51,7 @@ def bathroom(collection: bpy.types.Collection) -> None:
     room = Room(w, collection, 3.0, 2.6, 2.5, windows, (Door("south", 0.85, 0.8),))
     room.build_shell(skirting=0.0)
     _tiling(room)
-    bathroom_furniture.bathtub(w, "bathtub", enamel="enamel", apron="tiles", metal="chrome", length=1.75)
+    bathroom_furniture.bathtub(w)
     room.place("north", "bathtub", -0.607, gap=0.014)
     kitchen_furniture.tap(w, "bath_tap", "chrome", height=0.2, reach=0.14)
     w.place("bath_tap", 0.31, 0.9, 0.56, -90)
@@ -67,13 +61,11 @@ def bathroom(collection: bpy.types.Collection) -> None:
     w.place("pier", 0.375, 0.895)
     room.surface_at("pier", "shelf", (0.375, 0.9), (0.2, 0.74), 0.775, 0.5)
     _washing(room)
-    bathroom_furniture.toilet(w, "toilet", ceramic="enamel", seat="seat", metal="chrome")
+    bathroom_furniture.toilet(w)
     room.place("north", "toilet", 1.05, gap=0.014)
     _storage(room)
     decor.rug(w, "mat", "mat", (0.8, 0.5), (-0.5, 0.15), seed=2)
-    fitting = decor.ceiling_light(w, "ceiling_light", ceiling=2.5, radius=0.19, metal="chrome")
-    w.place("ceiling_light", 0.1, -0.2)
-    room.area_slot("ceiling light", (0.1, -0.2, fitting - 0.004), (0.25, 0.25))
+    decor.ceiling_light(room, 0.1, -0.2, radius=0.19, slot_m=0.25, metal="chrome")
     w.build(collection)
     room.surface_at("floor", "floor", (-0.85, -0.8), (0.5, 0.5), 0.0, 2.0)
     room.camera_region("middle", (-0.5, -1.1, 0.02), (0.75, 0.3, 2.25))
@@ -153,7 +145,7 @@ def _storage(room: Room) -> None:
     ends = [tube([(x, -0.002, 0), (x, -0.08, 0)], 0.008, 10) for x in (-0.3, 0.3)]
     w["towel_rail", "chrome"] += [bar, *ends]
     room.place("west", "towel_rail", 0.35, z=1.15, gap=0.014)
-    bathroom_furniture.towel(w, "towel", "towels", width=0.46)
+    bathroom_furniture.towel(w)
     room.place("west", "towel", 0.35, z=1.149, gap=0.094)
     storage.shelf_unit(
         w,
@@ -212,6 +204,5 @@ def _basket() -> Shape:
         (0.9, 0.55),
         (0.3, 0.556),
     ):
-        outline = np.array(rounded_rectangle(0.38 * scale, 0.3 * scale, 0.07 * scale, 5))
-        rings.append(np.column_stack([outline, np.full(len(outline), z)]))
+        rings.append(rounded_ring(0.38 * scale, 0.3 * scale, 0.07 * scale, z))
     return loft(rings)

@@ -14,28 +14,18 @@ from scenes.sources.shapes import (
     join,
     lathe,
     loft,
-    rounded_rectangle,
+    rounded_ring,
     sheet,
     soft_box,
 )
 
 
-def bathtub(
-    w: PartBuilder,
-    part: str,
-    *,
-    enamel: str,
-    apron: str,
-    metal: str,
-    length: float = 1.7,
-    width: float = 0.75,
-    height: float = 0.56,
-) -> None:
+def bathtub(w: PartBuilder) -> None:
     """Add a built-in bath along x with a tiled apron."""
+    length, width, height = 1.75, 0.75, 0.56
 
     def ring(sx: float, sy: float, z: float, corner: float) -> np.ndarray:
-        outline = np.array(rounded_rectangle(sx, sy, corner, 6))
-        return np.column_stack([outline[:, 0], outline[:, 1] - width / 2, np.full(len(outline), z)])
+        return rounded_ring(sx, sy, corner, z, -width / 2, 6)
 
     rings = [ring(length, width, height - 0.03, 0.012), ring(length, width, height - 0.004, 0.012), ring(length - 0.01, width - 0.01, height, 0.012), ring(length - 0.13, width - 0.13, height, 0.10),
              ring(length - 0.155, width - 0.155, height - 0.012, 0.11), ring(length - 0.24, width - 0.2, height - 0.25, 0.16), ring(length - 0.36, width - 0.26, height - 0.39, 0.18),
@@ -44,9 +34,9 @@ def bathtub(
     shape = shape if faces_up(shape) else shape.flipped()
     centre = ring(length - 1.2, width - 0.6, height - 0.424, 0.05)
     lid = Shape(centre, [tuple(range(len(centre)))], centre[:, :2].copy())
-    w[part, enamel] += [shape, lid]
-    w[part, apron] += _apron(length, width, height)
-    w[part, metal] += [
+    w["bathtub", "enamel"] += [shape, lid]
+    w["bathtub", "tiles"] += _apron(length, width, height)
+    w["bathtub", "chrome"] += [
         cylinder(0.03, 0.006, (length / 2 - 0.45, -width / 2, height - 0.425), 0.002),
         lathe([(0, 0), (0.032, 0), (0.034, 0.006), (0.028, 0.01), (0, 0.011)], 24)
         .turned("y", -90)
@@ -57,19 +47,13 @@ def bathtub(
 def _apron(length: float, width: float, height: float) -> Shape:
     t = 0.02
     walls = [box((length - 0.004, t, height - 0.028), (0, -width + t / 2 + 0.002, 0), 0.001, grain=0)]
-    walls += [
-        box(
-            (t, width - 0.03, height - 0.028),
-            (side * (length / 2 - t / 2 - 0.002), -width / 2 + 0.01, 0),
-            0.001,
-            grain=1,
-        )
-        for side in (-1, 1)
-    ]
+    for side in (-1, 1):
+        at = (side * (length / 2 - t / 2 - 0.002), -width / 2 + 0.01, 0)
+        walls.append(box((t, width - 0.03, height - 0.028), at, 0.001, grain=1))
     return join(walls)
 
 
-def toilet(w: PartBuilder, part: str, *, ceramic: str, seat: str, metal: str) -> None:
+def toilet(w: PartBuilder) -> None:
     """Add a close-coupled toilet with its lid down."""
 
     def ring(sx: float, sy: float, z: float, y: float) -> np.ndarray:
@@ -77,7 +61,7 @@ def toilet(w: PartBuilder, part: str, *, ceramic: str, seat: str, metal: str) ->
         front = np.where(np.sin(angle) < 0, 1.12, 0.88)
         return np.column_stack([sx / 2 * np.cos(angle), y + sy / 2 * np.sin(angle) * front, np.full(32, z)])
 
-    w[part, ceramic] += loft(
+    w["toilet", "enamel"] += loft(
         [
             ring(0.21, 0.34, 0, -0.36),
             ring(0.22, 0.35, 0.02, -0.36),
@@ -87,7 +71,7 @@ def toilet(w: PartBuilder, part: str, *, ceramic: str, seat: str, metal: str) ->
             ring(0.365, 0.465, 0.395, -0.42),
         ]
     )
-    w[part, seat] += loft(
+    w["toilet", "seat"] += loft(
         [
             ring(0.37, 0.47, 0.397, -0.42),
             ring(0.38, 0.48, 0.403, -0.42),
@@ -95,37 +79,21 @@ def toilet(w: PartBuilder, part: str, *, ceramic: str, seat: str, metal: str) ->
             ring(0.36, 0.46, 0.431, -0.42),
         ]
     )
-    w[part, ceramic] += [
+    w["toilet", "enamel"] += [
         soft_box((0.38, 0.18, 0.36), (0, -0.095, 0.39), 0.025, (0, 0, 0), 7),
         soft_box((0.4, 0.2, 0.035), (0, -0.1, 0.752), 0.014, (0, 0, 0.003), 7),
     ]
-    w[part, metal] += lathe([(0, 0), (0.022, 0), (0.024, 0.003), (0.02, 0.007), (0, 0.008)], 20).moved(
-        0, -0.1, 0.787
-    )
+    button = lathe([(0, 0), (0.022, 0), (0.024, 0.003), (0.02, 0.007), (0, 0.008)], 20)
+    w["toilet", "chrome"] += button.moved(0, -0.1, 0.787)
 
 
-def towel(
-    w: PartBuilder,
-    part: str,
-    slot: str,
-    *,
-    width: float = 0.5,
-    front: float = 0.55,
-    back: float = 0.4,
-    thick: float = 0.007,
-) -> None:
+def towel(w: PartBuilder) -> None:
     """Add a towel that hangs over a bar along x at the origin."""
+    width, front, back = 0.46, 0.55, 0.4
     turn = np.linspace(0, np.pi, 9)
     y = np.concatenate([np.full(10, -0.016), -0.016 * np.cos(turn[1:-1]), np.full(10, 0.016)])
     z = np.concatenate([np.linspace(-front, 0, 10), 0.016 * np.sin(turn[1:-1]), np.linspace(0, -back, 10)])
     x = np.linspace(-width / 2, width / 2, 19)
     sag = 0.004 * np.sin(11 * x)[None, :] * np.clip(-z / front, 0, 1)[:, None]
-    points = np.stack(
-        [
-            np.broadcast_to(x, (len(y), len(x))),
-            y[:, None] + sag * np.sign(y)[:, None],
-            np.broadcast_to(z[:, None], (len(y), len(x))),
-        ],
-        axis=-1,
-    )
-    w[part, slot] += sheet(points, thick)
+    parts = np.broadcast_arrays(x[None], y[:, None] + sag * np.sign(y)[:, None], z[:, None])
+    w["towel", "towels"] += sheet(np.stack(parts, axis=-1), 0.007)

@@ -5,17 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from scenes.sources.environments.room import Room
 from scenes.sources.modelling import PartBuilder
-from scenes.sources.shapes import (
-    Shape,
-    box,
-    cylinder,
-    join,
-    lathe,
-    panel,
-    sheet,
-    tube,
-)
+from scenes.sources.shapes import Shape, box, cylinder, frame, join, lathe, panel, sheet, tube
 
 
 def rug(
@@ -40,11 +32,10 @@ def rug(
         w[part, border] += [*[box((2 * sx, b, 0.0125), (at[0], at[1] + s * sy, 0.0005), 0.004, grain=0) for s in (-1, 1)], *[box((b, 2 * sy, 0.0125), (at[0] + s * sx, at[1], 0.0005), 0.004, grain=1) for s in (-1, 1)]]  # fmt: skip
 
 
-def floor_lamp(
-    w: PartBuilder, part: str, *, metal: str = "hardware", shade: str = "lamp_shade", height: float = 1.55
-) -> float:
-    """Add a floor lamp with a round foot and a drum shade; returns the height of its light."""
-    w[part, metal] += lathe(
+def floor_lamp(room: Room, x: float, y: float, height: float = 1.55) -> None:
+    """Add a floor lamp with a round foot and a drum shade at (x, y), with its light slot."""
+    w = room.builder
+    w["floor_lamp", "hardware"] += lathe(
         [
             (0, 0),
             (0.14, 0),
@@ -58,9 +49,10 @@ def floor_lamp(
         ],
         28,
     )
-    w[part, shade] += drum_shade(0.16, 0.21, 0.27).moved(z=height - 0.27)
-    w[part, metal] += spider(0.155, height - 0.03)
-    return height - 0.12
+    w["floor_lamp", "lamp_shade"] += drum_shade(0.16, 0.21, 0.27).moved(z=height - 0.27)
+    w["floor_lamp", "hardware"] += spider(0.155, height - 0.03)
+    w.place("floor_lamp", x, y)
+    room.point_slot("floor lamp", (x, y, height - 0.12))
 
 
 def drum_shade(top: float, bottom: float, height: float, segments: int = 36) -> Shape:
@@ -88,18 +80,12 @@ def spider(radius: float, z: float) -> Shape:
 
 
 def pendant(
-    w: PartBuilder,
-    part: str,
-    *,
-    ceiling: float,
-    drop: float,
-    metal: str = "hardware",
-    shade: str = "lamp_shade",
-    radius: float = 0.22,
-) -> float:
-    """Add a pendant lamp with a dome shade about the z axis; returns the height of the shade's lower rim."""
+    room: Room, x: float, y: float, drop: float, radius: float, slot_m: float, metal: str = "hardware"
+) -> None:
+    """Add a pendant lamp with a dome shade at (x, y), with a square light slot with sides of ``slot_m``."""
+    w, ceiling = room.builder, room.height
     z = ceiling - drop
-    w[part, metal] += lathe(
+    w["pendant", metal] += lathe(
         [
             (0, ceiling - 0.03),
             (0.045, ceiling - 0.03),
@@ -109,7 +95,7 @@ def pendant(
         ],
         24,
     )
-    w[part, metal] += tube([(0, 0, ceiling - 0.02), (0, 0, z + 0.6 * radius)], 0.0035, 8)
+    w["pendant", metal] += tube([(0, 0, ceiling - 0.02), (0, 0, z + 0.6 * radius)], 0.0035, 8)
     r, h, t = radius, 0.62 * radius, 0.003
     outer = [
         (r, 0),
@@ -128,23 +114,19 @@ def pendant(
         (0.955 * r, 0.28 * h),
         (r - t, 0),
     ]
-    w[part, shade] += lathe([*outer, *inner, (r, 0)], 40).moved(z=z)
-    return z
+    w["pendant", "lamp_shade"] += lathe([*outer, *inner, (r, 0)], 40).moved(z=z)
+    w.place("pendant", x, y)
+    room.area_slot("pendant", (x, y, z + 0.02), (slot_m, slot_m))
 
 
 def ceiling_light(
-    w: PartBuilder,
-    part: str,
-    *,
-    ceiling: float,
-    radius: float = 0.2,
-    metal: str = "hardware",
-    shade: str = "lamp_shade",
-) -> float:
-    """Add a flat round ceiling light about the z axis; returns the height of its underside."""
-    w[part, metal] += (lathe([(0, ceiling + 0.002), (radius, ceiling + 0.002), (radius + 0.006, ceiling - 0.004), (radius + 0.006, ceiling - 0.05), (radius, ceiling - 0.056), (radius - 0.012, ceiling - 0.05),
+    room: Room, x: float, y: float, radius: float, slot_m: float, metal: str = "hardware"
+) -> None:
+    """Add a flat round ceiling light at (x, y), with a square light slot with sides of ``slot_m`` below it."""
+    w, ceiling = room.builder, room.height
+    w["ceiling_light", metal] += (lathe([(0, ceiling + 0.002), (radius, ceiling + 0.002), (radius + 0.006, ceiling - 0.004), (radius + 0.006, ceiling - 0.05), (radius, ceiling - 0.056), (radius - 0.012, ceiling - 0.05),
                               (radius - 0.012, ceiling - 0.03), (0, ceiling - 0.03)][::-1], 40))  # fmt: skip
-    w[part, shade] += lathe(
+    w["ceiling_light", "lamp_shade"] += lathe(
         [
             (0, ceiling - 0.066),
             (0.6 * radius, ceiling - 0.064),
@@ -154,62 +136,46 @@ def ceiling_light(
         ],
         40,
     )
-    return ceiling - 0.066
+    w.place("ceiling_light", x, y)
+    room.area_slot("ceiling light", (x, y, ceiling - 0.066 - 0.004), (slot_m, slot_m))
 
 
-def picture(
-    w: PartBuilder,
-    part: str,
-    *,
-    size: tuple[float, float],
-    art: str,
-    frame: str = "picture_frames",
-    mount: str = "mounts",
-) -> None:
+def picture(w: PartBuilder, part: str, size: tuple[float, float], art: str) -> None:
     """Add a framed picture on y = 0 with its centre at the origin."""
     sx, sy = size
     b = 0.03
-    w[part, frame] += [*[box((sx + 2 * b, 0.024, b), (0, -0.012, s * (sy / 2 + b / 2) - b / 2), 0.004, 2, grain=0) for s in (-1, 1)], *[box((b, 0.024, sy), (s * (sx / 2 + b / 2), -0.012, -sy / 2), 0.004, 2, grain=2) for s in (-1, 1)]]  # fmt: skip
-    w[part, mount] += box((sx + 0.005, 0.006, sy + 0.005), (0, -0.006, -sy / 2), 0)
+    at = (0, -0.012, -sy / 2 - b)
+    w[part, "picture_frames"] += frame(sx + 2 * b, sy + 2 * b, b, 0.024, at, segments=2)
+    w[part, "mounts"] += box((sx + 0.005, 0.006, sy + 0.005), (0, -0.006, -sy / 2), 0)
     w[part, art] += panel(sx * 0.72, sy * 0.76, (0, -0.0096, -sy * 0.37))
 
 
-def radiator(
-    w: PartBuilder, part: str, *, width: float = 0.9, height: float = 0.55, slot: str = "radiator"
-) -> None:
-    """Add a column radiator with its back at y = 0, 10 cm above the floor."""
+def radiator(room: Room, wall: str, s: float, width: float, height: float) -> None:
+    """Add a column radiator at ``s`` along a wall, 10 cm above the floor."""
+    pieces = room.builder["radiator", "radiator"]
     count = int(width / 0.05)
     for k in range(count):
         x = -width / 2 + width * (k + 0.5) / count
         for y in (-0.05, -0.1):
-            w[part, slot] += tube([(x, y, 0.12), (x, y, 0.10 + height)], 0.013, 8)
+            pieces += tube([(x, y, 0.12), (x, y, 0.10 + height)], 0.013, 8)
     for z in (0.125, 0.095 + height):
         for y in (-0.05, -0.1):
-            w[part, slot] += tube([(-width / 2, y, z), (width / 2, y, z)], 0.017, 10)
+            pieces += tube([(-width / 2, y, z), (width / 2, y, z)], 0.017, 10)
     for side in (-1, 1):
-        w[part, slot] += tube(
-            [(side * width * 0.45, -0.075, 0.125), (side * width * 0.45, -0.075, 0.005)], 0.009, 8
-        )
-        w[part, slot] += box((0.03, 0.06, 0.03), (side * width * 0.35, -0.03, 0.05 + height), 0.004)
+        x = side * width * 0.45
+        pieces += tube([(x, -0.075, 0.125), (x, -0.075, 0.005)], 0.009, 8)
+        pieces += box((0.03, 0.06, 0.03), (side * width * 0.35, -0.03, 0.05 + height), 0.004)
+    room.place(wall, "radiator", s)
 
 
 def plant(
-    w: PartBuilder,
-    part: str,
-    *,
-    height: float,
-    seed: int = 0,
-    pot_radius: float = 0.15,
-    leaves: int = 26,
-    pot: str = "pot",
-    leaf: str = "leaves",
-    stem: str = "stems",
-    soil: str = "soil",
-) -> None:
+    w: PartBuilder, height: float, seed: int, pot_radius: float, leaves: int,
+    leaf: str = "leaves", stem: str = "stems",
+) -> None:  # fmt: skip
     """Add a broad-leaved plant in a pot about the z axis."""
     rng = np.random.default_rng(seed)
     r, h = pot_radius, 1.8 * pot_radius
-    w[part, pot] += lathe(
+    w["plant", "pot"] += lathe(
         [
             (0, 0),
             (0.72 * r, 0),
@@ -224,7 +190,7 @@ def plant(
         ],
         36,
     )
-    w[part, soil] += lathe(
+    w["plant", "soil"] += lathe(
         [(0.92 * r, 0.82 * h), (0.7 * r, 0.85 * h), (0.3 * r, 0.84 * h), (0, 0.86 * h)], 24
     )
     for k in range(leaves):
@@ -235,14 +201,14 @@ def plant(
         base = np.array([0.25 * r * np.cos(angle), 0.25 * r * np.sin(angle), 0.84 * h])
         middle = base * 0.35 + tip * 0.65 + [0, 0, 0.05 * height]
         middle[:2] *= 0.62
-        w[part, stem] += tube(
+        w["plant", stem] += tube(
             [base, (base + middle) / 2 + [0, 0, 0.02], middle, tip],
             [0.005, 0.004, 0.0035, 0.002],
             5,
             smooth=2,
         )
         length = float(rng.uniform(0.75, 1.1)) * 0.2 * height**0.6
-        w[part, leaf] += (
+        w["plant", leaf] += (
             leaf_blade(length, 0.46 * length, float(rng.uniform(0.15, 0.45)))
             .turned("y", float(rng.uniform(-5, 35)))
             .turned("z", float(np.degrees(angle)))

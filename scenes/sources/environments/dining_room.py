@@ -50,7 +50,7 @@ def dining_room(collection: bpy.types.Collection) -> None:
     furniture.table(w, "table", size=(1.9, 0.95), height=0.75, leg=0.085, thick=0.036)
     w.place("table", 0.0, 0.05, 0.0115)
     room.surface_at("table", "table", (0.0, 0.05), (1.8, 0.86), 0.7615, 0.85)
-    furniture.chair(w, "chair")
+    furniture.chair(w)
     places = (
         (-0.55, -0.62, 178.0),
         (0.1, -0.6, 183.0),
@@ -89,12 +89,10 @@ def dining_room(collection: bpy.types.Collection) -> None:
     room.place("north", "mirror", 0.2, z=1.75, gap=0.002)
     decor.picture(w, "picture", size=(0.55, 0.7), art="art_landscape")
     room.place("east", "picture", 0.65, z=1.72, gap=0.004)
-    low = decor.pendant(w, "pendant", ceiling=2.75, drop=1.0, metal="brass", radius=0.26)
-    w.place("pendant", 0.0, 0.05)
-    room.area_slot("pendant", (0.0, 0.05, low + 0.02), (0.3, 0.3))
+    decor.pendant(room, 0.0, 0.05, drop=1.0, radius=0.26, slot_m=0.3, metal="brass")
     for k, s in enumerate((-0.55, 0.95)):
         _sconce(room, k, s)
-    decor.plant(w, "plant", height=1.15, seed=21, pot_radius=0.15, leaves=26)
+    decor.plant(w, height=1.15, seed=21, pot_radius=0.15, leaves=26)
     w.place("plant", -1.98, 1.55)
     w.build(collection)
     room.surface_at("floor", "floor", (-1.85, 0.2), (0.6, 1.2), 0.0, 2.2)
@@ -153,5 +151,4 @@ def _sconce(room: Room, number: int, s: float) -> None:
     ]
     w[part, "lamp_shade"] += decor.drum_shade(0.05, 0.075, 0.12, 28).moved(0, -0.115, 0.085)
     room.place("north", part, s, z=1.75)
-    x, y, _ = room.frame("north")
-    room.point_slot(f"sconce {number}", (x + s, y - 0.115, 1.75 + 0.15))
+    room.point_slot(f"sconce {number}", (s, room.depth / 2 - 0.115, 1.75 + 0.15))

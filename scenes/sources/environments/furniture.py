@@ -75,37 +75,34 @@ def sofa(
 
 
 def table(
-    w: PartBuilder, part: str, *, size: tuple[float, float], height: float, top: str = "table", legs: str = "table",
-    thick: float = 0.032, leg: float = 0.06, shelf: float = 0.0, taper: bool = True, round_corner: float = 0.0,
+    w: PartBuilder, part: str, *, size: tuple[float, float], height: float, thick: float = 0.032, leg: float,
+    shelf: float = 0.0, round_corner: float = 0.0,
 ) -> None:  # fmt: skip
-    """Add a table about the z axis: bevelled top, apron, tapered legs, optional lower shelf."""
+    """Add a table about the z axis, in the slot named ``part``: bevelled top, apron, tapered legs, optional
+    lower shelf."""
     sx, sy = size
+    pieces = w[part, part]
     if round_corner:
-        w[part, top] += extrude(rounded_rectangle(sx, sy, round_corner, 6), thick, 0.006, 2).moved(
-            z=height - thick
-        )
+        plate = extrude(rounded_rectangle(sx, sy, round_corner, 6), thick, 0.006, 2)
+        pieces += plate.moved(z=height - thick)
     else:
-        w[part, top] += box((sx, sy, thick), (0, 0, height - thick), 0.005, 2, grain=0)
+        pieces += box((sx, sy, thick), (0, 0, height - thick), 0.005, 2, grain=0)
     inset = leg / 2 + 0.03
     for x in (-sx / 2 + inset, sx / 2 - inset):
         for y in (-sy / 2 + inset, sy / 2 - inset):
-            w[part, legs] += _leg(leg, height - thick, taper).moved(x, y)
+            pieces += _leg(leg, height - thick).moved(x, y)
     drop = min(0.08, height * 0.15)
+    under = height - thick - drop
     for y in (-sy / 2 + inset, sy / 2 - inset):
-        w[part, legs] += box(
-            (sx - 2 * inset - leg, 0.02, drop), (0, y, height - thick - drop), 0.002, grain=0
-        )
+        pieces += box((sx - 2 * inset - leg, 0.02, drop), (0, y, under), 0.002, grain=0)
     for x in (-sx / 2 + inset, sx / 2 - inset):
-        w[part, legs] += box(
-            (0.02, sy - 2 * inset - leg, drop), (x, 0, height - thick - drop), 0.002, grain=1
-        )
+        pieces += box((0.02, sy - 2 * inset - leg, drop), (x, 0, under), 0.002, grain=1)
     if shelf:
-        w[part, top] += box(
-            (sx - 2 * inset - 0.01, sy - 2 * inset - 0.01, 0.02), (0, 0, shelf - 0.02), 0.003, grain=0
-        )
+        size_below = (sx - 2 * inset - 0.01, sy - 2 * inset - 0.01, 0.02)
+        pieces += box(size_below, (0, 0, shelf - 0.02), 0.003, grain=0)
 
 
-def _leg(side: float, height: float, taper: bool) -> Shape:
+def _leg(side: float, height: float) -> Shape:
     shape = box((side, side, height), bevel=0.004, grain=2)
 
     def narrow(p: np.ndarray) -> np.ndarray:
@@ -113,26 +110,27 @@ def _leg(side: float, height: float, taper: bool) -> Shape:
         q[:, :2] *= (1 - 0.42 * np.clip(1 - p[:, 2] / height, 0, 1))[:, None]
         return q
 
-    return shape.bent(narrow) if taper else shape
+    return shape.bent(narrow)
 
 
-def chair(w: PartBuilder, part: str, *, frame: str = "chairs", seat: str = "chair_seats") -> None:
+def chair(w: PartBuilder) -> None:
     """Add a dining chair about the z axis: turned legs, curved back with three slats, seat pad."""
+    frame = w["chair", "chairs"]
     d, wd, h = 0.43, 0.44, 0.45
     for side in (-1, 1):
         x = side * (wd / 2 - 0.02)
-        w[part, frame] += tube(
+        frame += tube(
             [(x, -d / 2 + 0.02, 0.003), (x, -d / 2 + 0.025, 0.25), (x * 0.97, -d / 2 + 0.03, h - 0.02)],
             [0.012, 0.017, 0.019],
             10,
             smooth=3,
         )
-        w[part, frame] += (tube([(x * 1.02, d / 2 + 0.03, 0.003), (x, d / 2 - 0.015, 0.3), (x, d / 2 - 0.015, 0.46), (x * 0.97, d / 2 + 0.035, 0.72), (x * 0.95, d / 2 + 0.085, 0.9)],
+        frame += (tube([(x * 1.02, d / 2 + 0.03, 0.003), (x, d / 2 - 0.015, 0.3), (x, d / 2 - 0.015, 0.46), (x * 0.97, d / 2 + 0.035, 0.72), (x * 0.95, d / 2 + 0.085, 0.9)],
                                 [0.012, 0.018, 0.019, 0.016, 0.013], 10, smooth=4))  # fmt: skip
-        w[part, frame] += box((0.018, d - 0.05, 0.045), (x * 0.98, 0, h - 0.065), 0.004, grain=1)
-        w[part, frame] += tube([(x, -d / 2 + 0.03, 0.2), (x, d / 2 - 0.012, 0.2)], 0.009, 8)
+        frame += box((0.018, d - 0.05, 0.045), (x * 0.98, 0, h - 0.065), 0.004, grain=1)
+        frame += tube([(x, -d / 2 + 0.03, 0.2), (x, d / 2 - 0.012, 0.2)], 0.009, 8)
     for y in (-d / 2 + 0.025, d / 2 - 0.02):
-        w[part, frame] += box((wd - 0.05, 0.018, 0.045), (0, y, h - 0.065), 0.004, grain=0)
+        frame += box((wd - 0.05, 0.018, 0.045), (0, y, h - 0.065), 0.004, grain=0)
     for z, y in ((0.60, 0.014), (0.72, 0.036), (0.84, 0.066)):
         u, v = np.linspace(-1, 1, 13), np.linspace(-0.5, 0.5, 4)[:, None]
         bow = 0.032 * (1 - u**2)
@@ -144,6 +142,8 @@ def chair(w: PartBuilder, part: str, *, frame: str = "chairs", seat: str = "chai
             ],
             axis=-1,
         )
-        w[part, frame] += sheet(points, 0.014)
-    w[part, frame] += extrude(rounded_rectangle(wd, d, 0.04, 4), 0.018, 0.004).moved(z=h - 0.022)
-    w[part, seat] += soft_box((wd - 0.03, d - 0.03, 0.04), (0, 0, h - 0.006), 0.019, (0, 0, 0.014), 9)
+        frame += sheet(points, 0.014)
+    frame += extrude(rounded_rectangle(wd, d, 0.04, 4), 0.018, 0.004).moved(z=h - 0.022)
+    w["chair", "chair_seats"] += soft_box(
+        (wd - 0.03, d - 0.03, 0.04), (0, 0, h - 0.006), 0.019, (0, 0, 0.014), 9
+    )

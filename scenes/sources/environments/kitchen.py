@@ -5,13 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from scenes.sources.environments import (
-    decor,
-    furniture,
-    kitchen_furniture,
-    slots,
-    storage,
-)
+from scenes.sources.environments import decor, furniture, kitchen_furniture, slots, storage
 from scenes.sources.environments.registry import environment
 from scenes.sources.environments.room import Door, Room, Window
 from scenes.sources.materials.graph import srgb
@@ -54,17 +48,12 @@ def kitchen(collection: bpy.types.Collection) -> None:
     room.build_shell()
     _units(room)
     _table(room)
-    decor.radiator(w, "radiator", width=0.8, height=0.6)
-    room.place("west", "radiator", 0.2)
+    decor.radiator(room, "west", 0.2, width=0.8, height=0.6)
     for k, (s, z, art) in enumerate(((-0.55, 1.55, "art_blocks"), (0.15, 1.6, "art_landscape"))):
         decor.picture(w, f"picture_{k}", size=(0.4, 0.52), art=art)
         room.place("south", f"picture_{k}", s - 0.2, z=z)
-    low = decor.pendant(w, "pendant", ceiling=2.55, drop=0.85, radius=0.2)
-    w.place("pendant", -0.35, -0.55)
-    room.area_slot("pendant", (-0.35, -0.55, low + 0.02), (0.22, 0.22))
-    fitting = decor.ceiling_light(w, "ceiling_light", ceiling=2.55, radius=0.17)
-    w.place("ceiling_light", 0.5, 0.65)
-    room.area_slot("ceiling light", (0.5, 0.65, fitting - 0.004), (0.22, 0.22))
+    decor.pendant(room, -0.35, -0.55, drop=0.85, radius=0.2, slot_m=0.22)
+    decor.ceiling_light(room, 0.5, 0.65, radius=0.17, slot_m=0.22)
     _shelves(room)
     w.build(collection)
     room.surface_at("floor", "floor", (1.4, -0.7), (0.8, 1.4), 0.0, 2.2)
@@ -101,27 +90,16 @@ def _units(room: Room) -> None:
         box((0.58, 0.5, 0.1), (0, -0.25, 0), 0.001),
         box((0.6, 0.53, TOP - 0.038 - 0.34), (0, -0.265, 0.34), 0.002),
     ]
-    kitchen_furniture.oven(
-        w,
-        "oven",
-        steel="appliances",
-        glass="dark_glass",
-        knob="knobs",
-        height=TOP - 0.038 - 0.245,
-        depth=0.56,
-    )
+    kitchen_furniture.oven(w, height=TOP - 0.038 - 0.245)
     room.place("north", "oven_case", -0.2)
     room.place("north", "oven", -0.2, z=0.243)
-    kitchen_furniture.worktop(
-        w, "worktop", "worktop", width=3.52, depth=DEEP, height=TOP, holes=((-0.61, -0.32, 0.5, 0.38),)
-    )
+    kitchen_furniture.worktop(w, 3.52, DEEP, TOP, (-0.61, -0.32, 0.5, 0.38))
     room.place("north", "worktop", -0.34)
-    sink = kitchen_furniture.basin_shape(0.5, 0.38, 0.17)
-    w["sink", "sink"] += sink
+    w["sink", "sink"] += kitchen_furniture.basin_shape(0.5, 0.38, 0.17)
     room.place("north", "sink", -0.95, gap=0.32, z=TOP)
     kitchen_furniture.tap(w, "tap", "hardware")
     room.place("north", "tap", -0.95, gap=0.085, z=TOP)
-    kitchen_furniture.hob(w, "hob", glass="dark_glass", mark="hob_marks")
+    kitchen_furniture.hob(w)
     room.place("north", "hob", -0.2, gap=0.31, z=TOP)
     w["splashback", "splashback"] += box((3.52, 0.012, 0.16 - 0.002), (0, -0.006, TOP), 0.001, grain=0)
     room.place("north", "splashback", -0.34)
@@ -130,11 +108,9 @@ def _units(room: Room) -> None:
             (right - left, 0.012, 0.42), ((left + right) / 2, -0.006, TOP + 0.16), 0.001, grain=0
         )
     room.place("north", "splash_high", 0.0)
-    kitchen_furniture.fridge(w, "fridge", body="fridge", handle="hardware")
+    kitchen_furniture.fridge(w)
     room.place("north", "fridge", 1.76, gap=0.02)
-    kitchen_furniture.wall_cupboard(
-        w, "upper_left", width=1.3, height=0.72, depth=0.34, columns=3, slot="upper_units", handle="hardware"
-    )
+    kitchen_furniture.wall_cupboard(w, "upper_left", width=1.3, height=0.72, depth=0.34, columns=3)
     room.place("north", "upper_left", -1.43, z=1.48)
     for name, s, width in (("counter left", -1.66, 0.78), ("counter right", 0.78, 1.15)):
         room.surface(name, "counter", "north", s, width, 0.09, 0.56, TOP, 0.5)
@@ -143,10 +119,10 @@ def _units(room: Room) -> None:
 
 def _table(room: Room) -> None:
     w = room.builder
-    furniture.table(w, "table", size=(1.3, 0.8), height=0.74, top="table", legs="table", leg=0.07)
+    furniture.table(w, "table", size=(1.3, 0.8), height=0.74, leg=0.07)
     w.place("table", -0.35, -0.55)
     room.surface_at("table", "table", (-0.35, -0.55), (1.2, 0.7), 0.74, 0.9)
-    furniture.chair(w, "chair")
+    furniture.chair(w)
     for x, y, degrees in ((-0.68, -1.12, 180.0), (0.02, -1.16, 176.0), (-0.7, 0.0, 4.0), (0.05, 0.02, -5.0)):
         w.place("chair", x, y, 0, degrees)
 

@@ -3,41 +3,32 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
+from scenes.sources.environments.storage import bent_bar
 from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import (
     Shape,
     box,
     extrude,
     face_normals,
-    join,
     lathe,
     loft,
     rounded_rectangle,
+    rounded_ring,
     soft_box,
     tube,
 )
 
 
-def basin_shape(
-    width: float, depth: float, deep: float, wall: float = 0.004, corner: float = 0.05, taper: float = 0.88
-) -> Shape:
+def basin_shape(width: float, depth: float, deep: float) -> Shape:
     """An open rectangular basin about the z axis with a rolled rim at z = 0 and its floor at z = -``deep``."""
+    wall = 0.004
     rings = []
-    for scale, z, extra in ((1.0, -0.001, 0.014), (1.0, 0.0025, 0.012), (1.0, 0.0025, 0.0), (0.985, -0.012, 0.0), (taper + 0.02, -0.85 * deep, 0.0),
-                            (taper - 0.03, -0.97 * deep, 0.0), (0.55, -deep, 0.0), (0.1, -deep - 0.002, 0.0)):  # fmt: skip
-        outline = np.array(
-            rounded_rectangle(
-                width * scale + 2 * extra,
-                depth * scale + 2 * extra,
-                min(corner * max(scale, 0.5), 0.45 * depth * scale),
-                5,
-            )
-        )
-        rings.append(np.column_stack([outline, np.full(len(outline), z)]))
+    for scale, z, extra in ((1.0, -0.001, 0.014), (1.0, 0.0025, 0.012), (1.0, 0.0025, 0.0), (0.985, -0.012, 0.0), (0.9, -0.85 * deep, 0.0),
+                            (0.85, -0.97 * deep, 0.0), (0.55, -deep, 0.0), (0.1, -deep - 0.002, 0.0)):  # fmt: skip
+        corner = min(0.05 * max(scale, 0.5), 0.45 * depth * scale)
+        rings.append(rounded_ring(width * scale + 2 * extra, depth * scale + 2 * extra, corner, z))
     inside = loft(np.array(rings)[::-1], capped=False)
     outer = [
         np.column_stack([ring[:, :2] * (1 + wall / max(width, depth) * 2), ring[:, 2] - wall])
@@ -66,34 +57,17 @@ def faces_up(shape: Shape) -> bool:
 
 
 def worktop(
-    w: PartBuilder,
-    part: str,
-    slot: str,
-    *,
-    width: float,
-    depth: float,
-    height: float,
-    holes: tuple[tuple[float, float, float, float], ...] = (),
-    thick: float = 0.038,
+    w: PartBuilder, width: float, depth: float, height: float, hole: tuple[float, float, float, float]
 ) -> None:
-    """Add a worktop with its upper side at ``height`` and with ``holes``, each (x, y, width, depth)."""
-    xs = sorted({-width / 2, width / 2, *(v for x, _, hw, _ in holes for v in (x - hw / 2, x + hw / 2))})
-    for left, right in pairwise(xs):
-        middle = (left + right) / 2
-        hole = next((h for h in holes if abs(h[0] - middle) < h[2] / 2), None)
-        bands = (
-            [(-depth, 0.0)]
-            if hole is None
-            else [(-depth, hole[1] - hole[3] / 2), (hole[1] + hole[3] / 2, 0.0)]
-        )
-        for low, high in bands:
-            bevel = 0.0 if len(xs) > 2 else 0.003
-            w[part, slot] += box(
-                (right - left, high - low, thick),
-                (middle, (low + high) / 2, height - thick),
-                bevel,
-                grain=0,
-            )
+    """Add a worktop with its upper side at ``height`` and with a ``hole`` (x, y, width, depth)."""
+    x, y, hole_width, hole_depth = hole
+    thick, x0, x1 = 0.038, x - hole_width / 2, x + hole_width / 2
+    front, back = (-depth, y - hole_depth / 2), (y + hole_depth / 2, 0.0)
+    for left, right, (low, high) in (
+        (-width / 2, x0, (-depth, 0.0)), (x0, x1, front), (x0, x1, back), (x1, width / 2, (-depth, 0.0)),
+    ):  # fmt: skip
+        at = ((left + right) / 2, (low + high) / 2, height - thick)
+        w["worktop", "worktop"] += box((right - left, high - low, thick), at, 0.0, grain=0)
 
 
 def tap(w: PartBuilder, part: str, slot: str, *, height: float = 0.3, reach: float = 0.2) -> None:
@@ -119,11 +93,11 @@ def tap(w: PartBuilder, part: str, slot: str, *, height: float = 0.3, reach: flo
     )
 
 
-def hob(w: PartBuilder, part: str, *, glass: str, mark: str, width: float = 0.58, depth: float = 0.5) -> None:
+def hob(w: PartBuilder) -> None:
     """Add a glass-ceramic hob about the z axis, with its zones marked by thin rings."""
-    w[part, glass] += extrude(rounded_rectangle(width, depth, 0.012, 3), 0.006, 0.0015)
+    w["hob", "dark_glass"] += extrude(rounded_rectangle(0.58, 0.5, 0.012, 3), 0.006, 0.0015)
     for x, y, r in ((-0.15, -0.11, 0.09), (-0.15, 0.12, 0.075), (0.14, -0.11, 0.075), (0.14, 0.12, 0.1)):
-        w[part, mark] += lathe(
+        w["hob", "hob_marks"] += lathe(
             [
                 (r - 0.0015, 0.0055),
                 (r + 0.0015, 0.0055),
@@ -135,29 +109,19 @@ def hob(w: PartBuilder, part: str, *, glass: str, mark: str, width: float = 0.58
         ).moved(x, y)
 
 
-def oven(
-    w: PartBuilder,
-    part: str,
-    *,
-    steel: str,
-    glass: str,
-    knob: str,
-    width: float = 0.594,
-    height: float = 0.595,
-    depth: float = 0.56,
-) -> None:
-    """Add the front of a built-in oven, at y = -``depth``: control panel with knobs, window, bar handle."""
-    y = -depth
-    w[part, steel] += [
+def oven(w: PartBuilder, height: float) -> None:
+    """Add the front of a built-in oven, at y = -0.56: control panel with knobs, window, bar handle."""
+    width, y = 0.594, -0.56
+    w["oven", "appliances"] += [
         box((width, 0.03, 0.105), (0, y + 0.005, height - 0.105), 0.003, 2, grain=0),
         box((width, 0.035, height - 0.112), (0, y + 0.005, 0), 0.004, 2, grain=0),
     ]
-    w[part, glass] += [
+    w["oven", "dark_glass"] += [
         box((width - 0.12, 0.006, height - 0.26), (0, y - 0.014, 0.06), 0.002),
         box((0.12, 0.004, 0.045), (0, y - 0.0105, height - 0.075), 0.001),
     ]
     for x in (-0.23, -0.16, 0.16, 0.23):
-        w[part, knob] += (
+        w["oven", "knobs"] += (
             lathe(
                 [
                     (0, 0),
@@ -174,29 +138,23 @@ def oven(
             .moved(x, y - 0.009, height - 0.052)
         )
     z = height - 0.155
-    w[part, steel] += [
+    w["oven", "appliances"] += [
         tube([(-0.24, y - 0.05, z), (0.24, y - 0.05, z)], 0.009, 12),
         *[tube([(x, y - 0.01, z), (x, y - 0.05, z)], 0.006, 8) for x in (-0.21, 0.21)],
     ]
 
 
-def fridge(
-    w: PartBuilder,
-    part: str,
-    *,
-    body: str,
-    handle: str,
-    width: float = 0.6,
-    height: float = 1.86,
-    depth: float = 0.64,
-) -> None:
+def fridge(w: PartBuilder) -> None:
     """Add a fridge with a freezer drawer below."""
-    w[part, body] += box((width, depth - 0.07, height), (0, -(depth - 0.07) / 2, 0.01), 0.006, 2)
+    width, height, depth = 0.6, 1.86, 0.64
+    w["fridge", "fridge"] += box((width, depth - 0.07, height), (0, -(depth - 0.07) / 2, 0.01), 0.006, 2)
     for low, high in ((0.04, 0.62), (0.63, height)):
-        w[part, body] += soft_box((width, 0.062, high - low), (0, -depth + 0.031, low), 0.014, (0, 0, 0), 7)
+        w["fridge", "fridge"] += soft_box(
+            (width, 0.062, high - low), (0, -depth + 0.031, low), 0.014, (0, 0, 0), 7
+        )
         z = (high - 0.36, high - 0.08) if low < 0.3 else (low + 0.1, low + 0.5)
         x = -width / 2 + 0.05
-        w[part, handle] += [
+        w["fridge", "hardware"] += [
             tube([(x, -depth - 0.045, z[0]), (x, -depth - 0.045, z[1])], 0.009, 10),
             *[
                 tube([(x, -depth + 0.004, z[0] + o), (x, -depth - 0.045, z[0] + o)], 0.006, 8)
@@ -205,32 +163,19 @@ def fridge(
         ]
 
 
-def wall_cupboard(
-    w: PartBuilder,
-    part: str,
-    *,
-    width: float,
-    height: float,
-    depth: float,
-    columns: int,
-    slot: str,
-    handle: str,
-) -> None:
+def wall_cupboard(w: PartBuilder, part: str, width: float, height: float, depth: float, columns: int) -> None:
     """Add a wall cupboard with its underside at z = 0."""
-    w[part, slot] += box((width, depth - 0.022, height), (0, -(depth - 0.022) / 2, 0), 0.002, grain=0)
+    w[part, "upper_units"] += box(
+        (width, depth - 0.022, height), (0, -(depth - 0.022) / 2, 0), 0.002, grain=0
+    )
     each = width / columns
     for k in range(columns):
         x = -width / 2 + each * (k + 0.5)
-        w[part, slot] += box(
+        w[part, "upper_units"] += box(
             (each - 0.003, 0.02, height - 0.004), (x, -depth + 0.011, 0.002), 0.003, 2, grain=2
         )
         side = 1 if k % 2 == 0 else -1
         px = x + side * (each / 2 - 0.035)
         y = -depth + 0.001
-        w[part, handle] += join(
-            [
-                tube([(px, y, 0.05), (px, y - 0.028, 0.05)], 0.005, 8),
-                tube([(px, y - 0.028, 0.05), (px, y - 0.028, 0.2)], 0.006, 8),
-                tube([(px, y - 0.028, 0.2), (px, y, 0.2)], 0.005, 8),
-            ]
-        )
+        path = [(px, y, 0.05), (px, y - 0.028, 0.05), (px, y - 0.028, 0.2), (px, y, 0.2)]
+        w[part, "hardware"] += bent_bar(path)

@@ -44,8 +44,7 @@ def living_room(collection: bpy.types.Collection) -> None:
     room.build_shell()
     for k, window in enumerate(windows):
         room.curtains(window, "curtains", open_share=0.6, seed=k)
-    decor.radiator(w, "radiator", width=0.9, height=0.38)
-    room.place("east", "radiator", 0.95)
+    decor.radiator(room, "east", 0.95, width=0.9, height=0.38)
     _seating(room)
     _tables(room)
     _storage(room)
@@ -54,13 +53,9 @@ def living_room(collection: bpy.types.Collection) -> None:
     )):  # fmt: skip
         decor.picture(w, f"picture_{k}", size=size, art=art)
         room.place(wall, f"picture_{k}", s, z=z)
-    low = decor.pendant(w, "pendant", ceiling=2.6, drop=0.55, radius=0.24)
-    w.place("pendant", -0.4, -0.2)
-    room.area_slot("pendant", (-0.4, -0.2, low + 0.02), (0.26, 0.26))
-    lamp = decor.floor_lamp(w, "floor_lamp")
-    w.place("floor_lamp", -2.2, -1.72)
-    room.point_slot("floor lamp", (-2.2, -1.72, lamp))
-    decor.plant(w, "plant", height=1.3, seed=2, pot_radius=0.17, leaves=30)
+    decor.pendant(room, -0.4, -0.2, drop=0.55, radius=0.24, slot_m=0.26)
+    decor.floor_lamp(room, -2.2, -1.72)
+    decor.plant(w, height=1.3, seed=2, pot_radius=0.17, leaves=30)
     w.place("plant", 2.1, 1.8)
     w.build(collection)
     room.surface_at("floor east", "floor", (1.3, 0.0), (0.8, 1.5), 0.0, 2.2)
@@ -84,15 +79,7 @@ def _seating(room: Room) -> None:
 def _tables(room: Room) -> None:
     w = room.builder
     furniture.table(
-        w,
-        "coffee_table",
-        size=(1.15, 0.62),
-        height=0.42,
-        top="coffee_table",
-        legs="coffee_table",
-        leg=0.055,
-        shelf=0.16,
-        round_corner=0.05,
+        w, "coffee_table", size=(1.15, 0.62), height=0.42, leg=0.055, shelf=0.16, round_corner=0.05
     )
     w.place("coffee_table", -0.5, -0.3, 0.011)
     room.surface_at("coffee table", "table", (-0.5, -0.3), (1.05, 0.54), 0.431, 1.0)

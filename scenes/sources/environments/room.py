@@ -8,15 +8,16 @@ at y < 0. Furniture is modelled in such a frame, with its back at y = 0 and its 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import bpy
 import numpy as np
+from numpy.typing import ArrayLike
 
-from scenes.sources import modelling
-from scenes.sources.modelling import PartBuilder
-from scenes.sources.shapes import Point, Shape, box, box_uvs, cylinder, join, sheet, tube
+from scenes.sources.modelling import PartBuilder, tag
+from scenes.sources.shapes import Face, Point, Shape, box, box_uvs, cylinder, frame, join, sheet, tube
 
 THICKNESS = 0.28
 _WALLS = {"north": 0.0, "west": 90.0, "south": 180.0, "east": -90.0}
@@ -56,29 +57,30 @@ class Room:
     windows: tuple[Window, ...] = ()
     doors: tuple[Door, ...] = ()
 
-    def frame(self, wall: str) -> tuple[float, float, float]:
-        """Origin (x, y) and rotation [degrees] of a wall's frame in the room."""
+    def frame(self, wall: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Origin (3,) of a wall's frame in the room, and its unit vectors to the right and out of the room."""
         x = {"east": self.width / 2, "west": -self.width / 2}.get(wall, 0.0)
         y = {"north": self.depth / 2, "south": -self.depth / 2}.get(wall, 0.0)
-        return x, y, _WALLS[wall]
+        c, s = np.cos(np.radians(_WALLS[wall])), np.sin(np.radians(_WALLS[wall]))
+        return np.array([x, y, 0.0]), np.array([c, s, 0.0]), np.array([-s, c, 0.0])
 
     def length(self, wall: str) -> float:
         return self.width if wall in ("north", "south") else self.depth
 
     def on_wall(self, wall: str, shape: Shape, s: float = 0.0, gap: float = 0.0, z: float = 0.0) -> Shape:
         """Move a shape from a wall's frame into the room: ``s`` along the wall, ``gap`` away from it, up by ``z``."""
-        x, y, degrees = self.frame(wall)
-        return shape.moved(s, -gap, z).turned("z", degrees).moved(x, y)
+        return shape.moved(s, -gap, z).turned("z", _WALLS[wall]).moved(*self.frame(wall)[0])
 
-    def place(
-        self, wall: str, part: str, s: float, gap: float = 0.0, z: float = 0.0
-    ) -> tuple[float, float, float]:
-        """Place a part at a wall as :meth:`on_wall` does; return its x, y [m] and rotation [degrees]."""
-        x, y, degrees = self.frame(wall)
-        c, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-        px, py = x + c * s + sine * gap, y + sine * s - c * gap
-        self.builder.place(part, px, py, z, degrees)
-        return float(px), float(py), degrees
+    def place(self, wall: str, part: str, s: float, gap: float = 0.0, z: float = 0.0) -> None:
+        """Place a part at a wall as :meth:`on_wall` does."""
+        origin, right, out = self.frame(wall)
+        x, y, _ = origin + right * s - out * gap
+        self.builder.place(part, x, y, z, _WALLS[wall])
+
+    def holes(self, wall: str) -> list[tuple[float, float, float, float]]:
+        """Bounds (s0, s1, z0, z1) of the windows of a wall."""
+        own = [w for w in self.windows if w.wall == wall]
+        return [(w.s - w.width / 2, w.s + w.width / 2, w.sill, w.sill + w.height) for w in own]
 
     def clear_runs(
         self, wall: str, door_gap: float, window_gap: float | None = None, least: float = 0.03
@@ -91,11 +93,7 @@ class Room:
             (d.s - d.width / 2 - door_gap, d.s + d.width / 2 + door_gap) for d in self.doors if d.wall == wall
         ]
         if window_gap is not None:
-            gaps += [
-                (o.s - o.width / 2 - window_gap, o.s + o.width / 2 + window_gap)
-                for o in self.windows
-                if o.wall == wall
-            ]
+            gaps += [(low - window_gap, high + window_gap) for low, high, _, _ in self.holes(wall)]
         half = self.length(wall) / 2
         start = -half
         for low, high in [*sorted(gaps), (half, half)]:
@@ -110,12 +108,7 @@ class Room:
         self.builder["floor", "floor"] += box((w + 2 * t, d + 2 * t, 0.2), (0, 0, -0.2), bevel=0, grain=0)
         self.builder["ceiling", "ceiling"] += box((w + 2 * t, d + 2 * t, 0.2), (0, 0, h), bevel=0)
         for wall in _WALLS:
-            holes = [
-                (o.s - o.width / 2, o.s + o.width / 2, o.sill, o.sill + o.height)
-                for o in self.windows
-                if o.wall == wall
-            ]
-            self.builder["walls", "walls"] += self._wall(wall, holes)
+            self.builder["walls", "walls"] += self._wall(wall)
             if skirting:
                 self._skirting(wall, skirting)
         for number, window in enumerate(self.windows):
@@ -140,7 +133,8 @@ class Room:
             # reversed: seen from inside, s decreases to the right
             self.builder["outside", "hedge"] += sheet(points[:, ::-1], 0.6).turned("z", degrees)
 
-    def _wall(self, wall: str, holes: list[tuple[float, float, float, float]]) -> Shape:
+    def _wall(self, wall: str) -> Shape:
+        holes = self.holes(wall)
         # north and south walls also fill the corners; all walls extend into floor and ceiling against light leaks
         half = self.length(wall) / 2 + (THICKNESS if wall in ("north", "south") else 0.0)
         xs = sorted({-half, half, *(v for hole in holes for v in hole[:2])})
@@ -178,56 +172,23 @@ class Room:
     def _window(self, window: Window, number: int) -> None:
         w, h, z = window.width, window.height, window.sill
         depth = THICKNESS * 0.55
-        frame = 0.055
-        bars = [
-            box((w, 0.06, frame), (0, depth, z), 0.004, grain=0),
-            box((w, 0.06, frame), (0, depth, z + h - frame), 0.004, grain=0),
-        ]
-        bars += [
-            box((frame, 0.06, h - 2 * frame), (side * (w - frame) / 2, depth, z + frame), 0.004, grain=2)
-            for side in (-1, 1)
-        ]
+        rim = 0.055
+        bars = frame(w, h, rim, 0.06, (0, depth, z))
         columns, rows = window.panes
-        inner_w, inner_h = w - 2 * frame, h - 2 * frame
+        inner_w, inner_h = w - 2 * rim, h - 2 * rim
         for k in range(columns):
             # a frame for each casement
             left = -inner_w / 2 + k * inner_w / columns
             cw = inner_w / columns
             x = left + cw / 2
-            bars += [
-                box((cw - 0.004, 0.045, 0.05), (x, depth - 0.012, z + frame + dz), 0.004, grain=0)
-                for dz in (0.002, inner_h - 0.052)
-            ]
-            bars += [
-                box(
-                    (0.05, 0.045, inner_h - 0.104),
-                    (x + side * (cw / 2 - 0.027), depth - 0.012, z + frame + 0.052),
-                    0.004,
-                    grain=2,
-                )
-                for side in (-1, 1)
-            ]
+            bars += frame(cw - 0.004, inner_h - 0.004, 0.05, 0.045, (x, depth - 0.012, z + rim + 0.002))
             for r in range(1, rows):
-                bars.append(
-                    box(
-                        (cw - 0.104, 0.03, 0.022),
-                        (x, depth - 0.012, z + frame + r * inner_h / rows - 0.011),
-                        0.003,
-                        grain=0,
-                    )
-                )
+                at = (x, depth - 0.012, z + rim + r * inner_h / rows - 0.011)
+                bars.append(box((cw - 0.104, 0.03, 0.022), at, 0.003, grain=0))
         self.builder["windows", "trim"] += self.on_wall(window.wall, join(bars), window.s)
         handle = cylinder(0.011, 0.02).turned("x", 90).moved(0, depth - 0.034, z + 0.45 * h)
-        lever = tube(
-            [
-                (0, depth - 0.05, z + 0.45 * h),
-                (0, depth - 0.055, z + 0.45 * h - 0.05),
-                (0, depth - 0.05, z + 0.45 * h - 0.11),
-            ],
-            0.008,
-            8,
-            smooth=3,
-        )
+        drops = ((0.05, 0.0), (0.055, 0.05), (0.05, 0.11))
+        lever = tube([(0, depth - y, z + 0.45 * h - drop) for y, drop in drops], 0.008, 8, smooth=3)
         offset = inner_w / columns / 2 if columns == 1 else 0.0
         self.builder["window_handles", "hardware"] += self.on_wall(
             window.wall, (handle + lever).moved(x=-offset + (0.025 if columns > 1 else 0.027)), window.s
@@ -237,37 +198,20 @@ class Room:
                 (w - 0.002, depth - 0.03, 0.0305), (0, (depth - 0.03) / 2 - 0.001, z - 0.029), 0.001, grain=0
             )
             self.builder["sills", "sill"] += self.on_wall(window.wall, board, window.s)
-            self.surface(
-                f"sill {number}",
-                "sill",
-                window.wall,
-                window.s,
-                w - 0.12,
-                0.022,
-                -depth + 0.075,
-                z + 0.0015,
-                0.45,
-            )
+            name, far = f"sill {number}", -depth + 0.075
+            self.surface(name, "sill", window.wall, window.s, w - 0.12, 0.022, far, z + 0.0015, 0.45)
         # architrave around the opening
+        foot = z + (0.001 if z > 0.3 else 0.0)
         casing = [
-            box(
-                (0.07, 0.018, h + 0.07),
-                (side * (w / 2 + 0.03), -0.009, z + (0.001 if z > 0.3 else 0.0)),
-                0.005,
-                grain=2,
-            )
+            box((0.07, 0.018, h + 0.07), (side * (w / 2 + 0.03), -0.009, foot), 0.005, grain=2)
             for side in (-1, 1)
         ]
         casing.append(box((w + 0.20, 0.022, 0.08), (0, -0.011, z + h + 0.012), 0.006, grain=0))
         self.builder["windows", "trim"] += self.on_wall(window.wall, join(casing), window.s)
-        x, y, degrees = self.frame(window.wall)
-        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-        right, out = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
-        origin = np.array([x, y, 0]) + right * (window.s - w / 2) + out * (THICKNESS + 0.005) + [0, 0, z]
+        origin, right, out = self.frame(window.wall)
+        origin = origin + right * (window.s - w / 2) + out * (THICKNESS + 0.005) + [0, 0, z]
         # right x up is the direction into the room
-        modelling.rectangle_marker(
-            self.collection, "opening", f"window {number}", tuple(origin), tuple(right * w), (0, 0, h)
-        )
+        self._rectangle("opening", f"window {number}", origin, right * w, (0, 0, h))
 
     def _door(self, door: Door) -> None:
         w, h = door.width, door.height
@@ -299,55 +243,67 @@ class Room:
         self, name: str, kind: str, wall: str, s: float, width: float, near: float, far: float, z: float, clearance: float
     ) -> None:  # fmt: skip
         """Add a support surface centred at ``s`` along a wall, between the distances ``near`` and ``far`` from it."""
-        x, y, degrees = self.frame(wall)
-        c, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        origin, right, out = self.frame(wall)
         low, high = min(near, far), max(near, far)
-        right, back = np.array([c, sine, 0]), np.array([-sine, c, 0])
-        origin = np.array([x, y, z]) + right * (s - width / 2) - back * high
-        self._support(name, kind, origin, right * width, back * (high - low), clearance)
+        origin = origin + [0, 0, z] + right * (s - width / 2) - out * high
+        self._support(name, kind, origin, right * width, out * (high - low), clearance)
 
     def surface_at(
-        self, name: str, kind: str, centre: tuple[float, float], size: tuple[float, float], z: float, clearance: float, degrees: float = 0.0
+        self, name: str, kind: str, centre: tuple[float, float], size: tuple[float, float], z: float, clearance: float
     ) -> None:  # fmt: skip
-        """Add a support surface: a rectangle about ``centre``, rotated about z by ``degrees``."""
-        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-        right, back = np.array([c, s, 0]), np.array([-s, c, 0])
-        origin = np.array([*centre, z]) - right * size[0] / 2 - back * size[1] / 2
-        self._support(name, kind, origin, right * size[0], back * size[1], clearance)
+        """Add a support surface: a rectangle about ``centre``."""
+        (x, y), (width, depth) = centre, size
+        origin = (x - width / 2, y - depth / 2, z)
+        self._support(name, kind, origin, (width, 0, 0), (0, depth, 0), clearance)
 
     def _support(
-        self, name: str, kind: str, origin: np.ndarray, u: np.ndarray, v: np.ndarray, clearance: float
+        self, name: str, kind: str, origin: ArrayLike, u: ArrayLike, v: ArrayLike, clearance: float
     ) -> None:
-        modelling.rectangle_marker(
-            self.collection,
-            "support_surface",
-            name,
-            tuple(origin),
-            tuple(u),
-            tuple(v),
-            sm_kind=kind,
-            sm_clearance_m=clearance,
-        )
+        self._rectangle("support_surface", name, origin, u, v, sm_kind=kind, sm_clearance_m=clearance)
 
     def area_slot(self, name: str, centre: Point, size: tuple[float, float]) -> None:
         """Add a light slot: a rectangle about ``centre`` for a lamp that emits downwards."""
-        x, y, z = centre
+        (x, y, z), (width, depth) = centre, size
         # u = +x, v = -y: their cross product points down
-        modelling.rectangle_marker(
-            self.collection,
-            "light_slot",
-            name,
-            (x - size[0] / 2, y + size[1] / 2, z),
-            (size[0], 0, 0),
-            (0, -size[1], 0),
-            sm_kind="area",
-        )
+        origin = (x - width / 2, y + depth / 2, z)
+        self._rectangle("light_slot", name, origin, (width, 0, 0), (0, -depth, 0), sm_kind="area")
 
     def point_slot(self, name: str, at: Point) -> None:
-        modelling.point_marker(self.collection, name, at)
+        """Add a light slot for a point light."""
+        x, y, z = at
+        origin = (x - 0.01, y - 0.01, z)
+        self._rectangle("light_slot", name, origin, (0.02, 0, 0), (0, 0.02, 0), sm_kind="point")
 
     def camera_region(self, name: str, low: Point, high: Point) -> None:
-        modelling.box_marker(self.collection, name, low, high)
+        """Add a camera region: the box from ``low`` to ``high`` [m]."""
+        corners = list(product(*zip(low, high, strict=True)))
+        faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+        self._marker(name, corners, faces, sm_role="camera_region")
+
+    def _rectangle(
+        self, role: str, name: str, origin: ArrayLike, edge_u: ArrayLike, edge_v: ArrayLike, **tags: object
+    ) -> None:
+        """Add a rectangle whose local +Z is edge_u x edge_v; the edges [m] must be perpendicular."""
+        u, v = np.array(edge_u, dtype=float), np.array(edge_v, dtype=float)
+        lu, lv = np.linalg.norm(u), np.linalg.norm(v)
+        corners = [(0, 0, 0), (lu, 0, 0), (lu, lv, 0), (0, lv, 0)]
+        thing = self._marker(name, corners, [(0, 1, 2, 3)], sm_role=role, **tags)
+        matrix = np.eye(4)
+        matrix[:3, 0], matrix[:3, 1] = u / lu, v / lv
+        matrix[:3, 2] = np.cross(matrix[:3, 0], matrix[:3, 1])
+        matrix[:3, 3] = origin
+        thing.matrix_world = matrix.T.tolist()
+
+    def _marker(
+        self, name: str, points: Sequence[Point], faces: Sequence[Face], **tags: object
+    ) -> bpy.types.Object:
+        mesh = bpy.data.meshes.new(name)
+        mesh.from_pydata(points, [], faces)
+        thing = bpy.data.objects.new(name, mesh)
+        tag(thing, **tags)
+        thing.hide_render = False
+        self.collection.objects.link(thing)
+        return thing
 
     # soft furnishings ------------------------------------------------------------------------------------
     def curtains(self, window: Window, slot: str, *, open_share: float = 0.62, seed: int = 0) -> None:

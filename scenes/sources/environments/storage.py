@@ -6,14 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from scenes.sources.modelling import PartBuilder
-from scenes.sources.shapes import (
-    Shape,
-    box,
-    join,
-    lathe,
-    sheet,
-    tube,
-)
+from scenes.sources.shapes import Point, Shape, box, join, lathe, sheet, tube
 
 
 def shelf_unit(
@@ -140,49 +133,34 @@ def cabinet(
                         grain=0,
                     )
             lift = -0.010 if panel and fh > 0.2 else 0.0
-            _pull(w, part, handle, x, -depth + 0.001 + lift, fz, fw, fh, k, columns, knobs)
+            side = 1 if k % 2 == 0 and columns > 1 else -1
+            w[part, handle] += _pull((x, -depth + 0.001 + lift, fz), fw, fh, side, knobs)
         z_top -= fh
 
 
-def _pull(
-    w: PartBuilder,
-    part: str,
-    slot: str,
-    x: float,
-    y: float,
-    z: float,
-    fw: float,
-    fh: float,
-    k: int,
-    columns: int,
-    knobs: bool,
-) -> None:
+def _pull(at: Point, fw: float, fh: float, side: int, knobs: bool) -> Shape:
+    """The handle or knob of a front ``fw`` wide and ``fh`` high with its lower middle ``at``; a door has it
+    on the left (``side`` -1) or right (1)."""
+    x, y, z = at
     is_drawer = fh < 0.34
     if knobs:
-        at = (
-            (x, z + fh / 2)
-            if is_drawer
-            else (x + (fw / 2 - 0.04) * (1 if k % 2 == 0 and columns > 1 else -1), z + fh * 0.55)
-        )
+        px, pz = (x, z + fh / 2) if is_drawer else (x + (fw / 2 - 0.04) * side, z + fh * 0.55)
         knob = lathe(
             [(0, 0), (0.006, 0), (0.006, 0.012), (0.014, 0.018), (0.016, 0.025), (0.011, 0.031), (0, 0.032)],
             18,
         ).turned("x", 90)
-        w[part, slot] += knob.moved(at[0], y, at[1])
-        return
+        return knob.moved(px, y, pz)
     if is_drawer:
         length = min(0.6 * fw, 0.22)
         left, right, height = x - length / 2, x + length / 2, z + fh - min(0.05, fh / 2)
         path = [(left, y, height), (left, y - 0.028, height), (right, y - 0.028, height), (right, y, height)]
     else:
-        side = 1 if (k % 2 == 0 and columns > 1) else -1
         px = x + side * (fw / 2 - 0.035)
         low = z + fh * 0.5 if fh < 1.0 else z + fh * 0.45
         path = [(px, y, low), (px, y - 0.028, low), (px, y - 0.028, low + 0.16), (px, y, low + 0.16)]
-    w[part, slot] += join(
-        [
-            tube([path[0], path[1]], 0.005, 8),
-            tube([path[1], path[2]], 0.006, 8),
-            tube([path[2], path[3]], 0.005, 8),
-        ]
-    )
+    return bent_bar(path)
+
+
+def bent_bar(path: list[Point]) -> Shape:
+    """A bar handle along the four points of ``path``, with thinner ends."""
+    return join([tube(path[k : k + 2], radius, 8) for k, radius in enumerate((0.005, 0.006, 0.005))])

@@ -11,7 +11,7 @@ from scenes.sources.environments.registry import environment
 from scenes.sources.environments.room import Door, Room, Window
 from scenes.sources.materials.graph import srgb
 from scenes.sources.modelling import PartBuilder, Slot
-from scenes.sources.shapes import box, cylinder, extrude, lathe, rounded_rectangle, soft_box, tube
+from scenes.sources.shapes import box, cylinder, extrude, frame, lathe, rounded_rectangle, soft_box, tube
 
 
 def _slots() -> dict[str, Slot]:
@@ -59,8 +59,7 @@ def study(collection: bpy.types.Collection) -> None:
     )
     w.place("armchair", 1.32, -0.98, 0, -128)
     decor.rug(w, "rug", "rug", (1.9, 1.3), (0.0, -0.55), seed=4)
-    decor.radiator(w, "radiator", width=0.7, height=0.55)
-    room.place("east", "radiator", 0.2)
+    decor.radiator(room, "east", 0.2, width=0.7, height=0.55)
     _board(room)
     decor.picture(w, "picture", size=(0.62, 0.44), art="art_dusk")
     room.place("south", "picture", -0.55, z=1.6)
@@ -70,13 +69,9 @@ def study(collection: bpy.types.Collection) -> None:
         tube([(-0.74, -0.05, 2.29), (0.74, -0.05, 2.29)], 0.022, 16),
     ]
     room.place("north", "blind", -0.45)
-    fitting = decor.ceiling_light(w, "ceiling_light", ceiling=2.5, radius=0.2)
-    w.place("ceiling_light", 0.0, -0.1)
-    room.area_slot("ceiling light", (0.0, -0.1, fitting - 0.004), (0.26, 0.26))
-    lamp = decor.floor_lamp(w, "floor_lamp", height=1.5)
-    w.place("floor_lamp", 1.55, -0.2)
-    room.point_slot("floor lamp", (1.55, -0.2, lamp))
-    decor.plant(w, "plant", height=1.05, seed=9, pot_radius=0.14, leaves=24)
+    decor.ceiling_light(room, 0.0, -0.1, radius=0.2, slot_m=0.26)
+    decor.floor_lamp(room, 1.55, -0.2, height=1.5)
+    decor.plant(w, height=1.05, seed=9, pot_radius=0.14, leaves=24)
     w.place("plant", 1.5, 1.22)
     w.build(collection)
     room.surface_at("floor", "floor", (-0.35, -0.75), (1.1, 0.7), 0.0115, 2.2)
@@ -221,10 +216,7 @@ def _bookcase(room: Room) -> None:
 def _board(room: Room) -> None:
     w = room.builder
     w["board", "board"] += box((0.8, 0.012, 0.56), (0, -0.007, 0), 0.002, grain=0)
-    w["board", "bookcase"] += [
-        *[box((0.86, 0.022, 0.03), (0, -0.011, z), 0.004, 2, grain=0) for z in (-0.03, 0.56)],
-        *[box((0.03, 0.022, 0.56), (s * 0.415, -0.011, 0), 0.004, 2, grain=2) for s in (-1, 1)],
-    ]
+    w["board", "bookcase"] += frame(0.86, 0.62, 0.03, 0.022, (0, -0.011, -0.03), segments=2)
     rng = np.random.default_rng(3)
     for k in range(7):
         size = ((0.075, 0.075), (0.105, 0.148), (0.1, 0.07))[k % 3]

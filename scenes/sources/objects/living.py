@@ -133,7 +133,7 @@ def cushion_bolster(w: PartBuilder) -> None:
     soil=fixed("22180f", 0.95, "organic"),
 )
 def plant_broad(w: PartBuilder) -> None:
-    decor.plant(w, "plant", height=0.42, seed=11, pot_radius=0.075, leaves=20, leaf="leaf", stem="stem")
+    decor.plant(w, height=0.42, seed=11, pot_radius=0.075, leaves=20, leaf="leaf", stem="stem")
 
 
 @thing(
