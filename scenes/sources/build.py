@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import bpy
 
@@ -16,7 +14,6 @@ from scenes.sources.environments import ENVIRONMENTS
 from scenes.sources.materials.catalogue import MATERIALS
 from scenes.sources.materials.graph import Graph
 from scenes.sources.objects import OBJECTS
-from scenes.sources.objects.registry import yaw_range
 
 FOLDERS = {"environment": "environments", "object": "objects", "material": "materials"}
 TOLERANCE = 0.7 / 255  # below the step of an 8-bit texture
@@ -36,13 +33,12 @@ def make(name: str) -> str:
     modelling.new_file()
     kind = sources()[name]
     if kind == "material":
-        material = MATERIALS[name].build(Graph(name))
-        modelling.tag_material(material, name)
+        modelling.tag_material(MATERIALS[name].build(Graph(name)), name)
     elif kind == "object":
         source = OBJECTS[name]
         collection = modelling.tagged_collection(
             "object", name, source.title, sm_category=source.category, sm_supports=source.supports,
-            sm_scale_range=source.scale, sm_yaw_range_rad=yaw_range(source),
+            sm_scale_range=source.scale, sm_yaw_range_rad=source.yaw_range_rad,
         )  # fmt: skip
         builder = modelling.PartBuilder(source.slots)
         source.build(builder)
@@ -67,9 +63,3 @@ def build(name: str, out: Path, quality: int = 1) -> tuple[Path, list[str]]:
     folder.mkdir(parents=True, exist_ok=True)
     result = export(folder, settings)
     return result.packages[0], [str(problem) for problem in result.problems]
-
-
-def description(package: Path) -> dict[str, Any]:
-    """Read the ``asset.json`` of a package."""
-    data: dict[str, Any] = json.loads((package / "asset.json").read_text(encoding="utf-8"))
-    return data

@@ -15,6 +15,6 @@ from scenes.sources.objects import (  # noqa: F401
     tools,
     vases_and_bottles,
 )
-from scenes.sources.objects.registry import OBJECTS, ObjectSource
+from scenes.sources.objects.registry import OBJECTS
 
-__all__ = ["OBJECTS", "ObjectSource"]
+__all__ = ["OBJECTS"]

@@ -17,14 +17,14 @@ TABLETOP = "table, shelf, counter, sill"
 @dataclass(frozen=True)
 class ObjectSource:
     """An object's source. ``supports``: kinds of support surface, separated by commas; ``scale``: range of its
-    scale factor; ``yaw_degrees``: maximum rotation from facing -Y, None for any.
+    scale factor; ``yaw_range_rad``: range of its rotation from facing -Y.
     """
 
     title: str
     category: str
     supports: str
     scale: tuple[float, float]
-    yaw_degrees: float | None
+    yaw_range_rad: tuple[float, float]
     slots: dict[str, Slot]
     build: Build
 
@@ -42,16 +42,13 @@ def thing(
     """
 
     def register(build: Build) -> Build:
-        OBJECTS[build.__name__] = ObjectSource(title, category, supports, scale, yaw, slots, build)
+        limit = math.pi if yaw is None else math.radians(yaw)
+        OBJECTS[build.__name__] = ObjectSource(
+            title, category, supports, scale, (-limit, limit), slots, build
+        )
         return build
 
     return register
-
-
-def yaw_range(source: ObjectSource) -> tuple[float, float]:
-    """Range of an object's yaw in radians."""
-    limit = math.pi if source.yaw_degrees is None else math.radians(source.yaw_degrees)
-    return (-limit, limit)
 
 
 def glaze(code: str, rough: float = 0.1, source: str = "") -> Slot:
