@@ -69,9 +69,8 @@ def _outside(room: Furnished, bounds: list[Floats]) -> list[Fault]:
     for item, b in zip(room.items, bounds, strict=True):
         if (b[0] < low).any() or (b[1] > high).any():
             depth = max(float((low - b[0]).max()), float((b[1] - high).max()))
-            found.append(
-                Fault("outside", item.name, f"extends {1000 * depth:.0f} mm into a wall, floor or ceiling")
-            )
+            why = f"extends {1000 * depth:.0f} mm into a wall, floor or ceiling"
+            found.append(Fault("outside", item.name, why))
     return found
 
 
@@ -113,10 +112,9 @@ def _gap(
 
 
 def _intersecting(room: Furnished, boxes: list[Floats], bounds: list[Floats]) -> list[Fault]:
-    names = [i.name for i in room.items]
     fixed = [p for p in room.built if p.item.name in ("trim", "window", "door", "beams")]
+    names = [p.name for p in (*room.items, *fixed)]
     all_boxes = [*boxes, *(p.boxes() for p in fixed)]
-    all_names = [*names, *(p.name for p in fixed)]
     all_bounds = [*bounds, *(hull_of(b) for b in all_boxes[len(boxes) :])]
     found = []
     for i in range(len(boxes)):
@@ -125,7 +123,7 @@ def _intersecting(room: Furnished, boxes: list[Floats], bounds: list[Floats]) ->
                 continue
             deep = overlap(all_boxes[i], all_boxes[j])
             if deep > OVERLAP_M:
-                found.append(Fault("intersects", names[i], f"cuts {1000 * deep:.0f} mm into {all_names[j]}"))
+                found.append(Fault("intersects", names[i], f"cuts {1000 * deep:.0f} mm into {names[j]}"))
     return found
 
 

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from datagen.formats.asset import (
     Box,
@@ -116,13 +116,8 @@ def _write_meshes(
 
 
 def _mesh(shape: Shape) -> Mesh:
-    mesh = Mesh(
-        shape.points.astype(np.float32),
-        shape.faces.astype(np.int32),
-        shape.normals.astype(np.float32),
-        shape.uv.astype(np.float32),
-    )
-    return with_sound_normals(mesh)[0]
+    points, normals, uv = (a.astype(np.float32) for a in (shape.points, shape.normals, shape.uv))
+    return with_sound_normals(Mesh(points, shape.faces.astype(np.int32), normals, uv))[0]
 
 
 def _material(
@@ -153,7 +148,7 @@ def _luminous(lamp: Lamp) -> SlotMaterial:
     return SLOTS["opal"].material().model_copy(update={"emission": (red, green, blue)})
 
 
-def _vector(value: Floats) -> tuple[float, float, float]:
+def _vector(value: ArrayLike) -> tuple[float, float, float]:
     x, y, z = np.round(np.asarray(value, dtype=np.float64), 6).tolist()
     return (x, y, z)
 
@@ -185,7 +180,7 @@ def _supports(room: MadeRoom, rectangles: list[Rectangle]) -> list[SupportSurfac
             SupportSurface(
                 name=f"floor {k}",
                 kind="floor",
-                origin_m=_vector(np.array([*low, 0.0])),
+                origin_m=_vector([*low, 0.0]),
                 edge_u_m=(quantized(size[0], 4), 0.0, 0.0),
                 edge_v_m=(0.0, quantized(size[1], 4), 0.0),
                 clearance_m=2.0,
@@ -220,18 +215,13 @@ def _light_slots(room: MadeRoom) -> list[LightSlot]:
 def _regions(room: MadeRoom, rectangles: list[Rectangle]) -> list[Box]:
     """Return camera regions above free rectangles (corners (2,), (2,)) of the floor."""
     top = min(_REGION_TOP_M, room.furnished.shell.height - 0.15)
-    return [
-        Box(minimum_m=_vector(np.array([*low, 0.0])), maximum_m=_vector(np.array([*high, top])))
-        for low, high in rectangles
-    ]
+    return [Box(minimum_m=_vector([*low, 0.0]), maximum_m=_vector([*high, top])) for low, high in rectangles]
 
 
 def _free_rectangles(room: MadeRoom) -> list[Rectangle]:
     """Return disjoint rectangles (corners (2,), (2,)) of the walkable floor, largest first."""
     shell = room.furnished.shell
-    boxes = np.concatenate([p.boxes() for p in room.furnished.items])
-    free, _ = walkable(shell, boxes)
-    free = free.copy()
+    free = walkable(shell, np.concatenate([p.boxes() for p in room.furnished.items]))[0].copy()
     origin = np.array([-shell.width / 2, -shell.depth / 2])
     found = []
     for _ in range(_MAX_REGIONS):

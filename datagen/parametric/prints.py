@@ -20,16 +20,10 @@ def print_image(draws: Draws) -> bytes:
     """Draw a small picture in a few similar colours or greys; return it as the bytes of a PNG file."""
     hue, spread = draws.unit(), draws.uniform(0.04, 0.2)
     saturation = 0.0 if draws.chance(0.25) else 1.0
-    inks = [
-        np.array(
-            colorsys.hsv_to_rgb(
-                (hue + draws.uniform(-spread, spread)) % 1,
-                saturation * draws.uniform(0.15, 0.65),
-                draws.uniform(0.2, 0.9),
-            )
-        )
-        for _ in range(5)
-    ]
+    inks = []
+    for _ in range(5):
+        h, s = (hue + draws.uniform(-spread, spread)) % 1, saturation * draws.uniform(0.15, 0.65)
+        inks.append(np.array(colorsys.hsv_to_rgb(h, s, draws.uniform(0.2, 0.9))))
     y, x = np.mgrid[0:_HEIGHT, 0:_WIDTH] / np.array([_HEIGHT, _WIDTH]).reshape(2, 1, 1)
     picture = np.broadcast_to(_PAPER, (_HEIGHT, _WIDTH, 3)).copy()
     draw = draws.choice((_bands, _blocks, _arcs, _washes, _hills, _twig, _strokes, _grid))

@@ -13,22 +13,13 @@ from typing import Literal
 from datagen.formats.base import quantized
 from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
-from datagen.parametric.checks import Fault, Furnished, faults_of
+from datagen.parametric.checks import Furnished, faults_of
 from datagen.parametric.electrics import wire
 from datagen.parametric.furnish import dress_windows
 from datagen.parametric.items import Placed, Style
 from datagen.parametric.kinds import KINDS, Kind
 from datagen.parametric.layout import Furnisher, Unfit
-from datagen.parametric.shell import (
-    CASING_M,
-    WALLS,
-    Door,
-    Shell,
-    Wall,
-    Window,
-    outside,
-    shell_items,
-)
+from datagen.parametric.shell import CASING_M, WALLS, Door, Shell, Wall, Window, outside, shell_items
 
 MAX_TRIES = 40
 _HINGES: tuple[Literal[-1], Literal[1]] = (-1, 1)
@@ -55,10 +46,10 @@ def make_room(kind: str, seed: str, has_scenery: bool = True) -> MadeRoom:
     rejected: list[str] = []
     for attempt in range(MAX_TRIES):
         key = ("parametric room", kind, seed, attempt)
-        shell = draw_shell(KINDS[kind], Draws(*key, "shell"))
+        spec = KINDS[kind]
+        shell = draw_shell(spec, Draws(*key, "shell"))
         room = Furnisher(shell, Style.draw(Draws(*key, "style")), Draws(*key, "furniture"))
         built = shell_items(shell, Draws(*key, "built"))
-        spec = KINDS[kind]
         if shell.has_beams:
             room.reserve(next(p for p in built if p.name == "beams"))
         try:
@@ -69,8 +60,7 @@ def make_room(kind: str, seed: str, has_scenery: bool = True) -> MadeRoom:
             rejected.append(str(why))
             continue
         furnished = Furnished(shell, tuple(built), tuple(room.placed))
-        faults: list[Fault] = faults_of(furnished)
-        if faults:
+        if faults := faults_of(furnished):
             rejected.append("; ".join(map(str, faults)))
             continue
         scenery = tuple(outside(shell, Draws(*key, "outside"))) if shell.windows and has_scenery else ()
@@ -107,11 +97,10 @@ def _doors(kind: Kind, shell: Shell, draws: Draws) -> tuple[Door, ...]:
     for wall in draws.shuffled(WALLS)[: draws.integer(*kind.doors)]:
         width = draws.choice((0.76, 0.82, 0.86, 0.92))
         reach = shell.length(wall) / 2 - width / 2 - CASING_M - 0.02
-        s = (  # most doors are near a corner
-            reach * draws.choice((-1.0, 1.0)) * (1 - 0.35 * draws.unit() ** 2)
-            if draws.chance(0.75)
-            else reach * draws.uniform(-1, 1)
-        )
+        if draws.chance(0.75):  # most doors are near a corner
+            s = reach * draws.choice((-1.0, 1.0)) * (1 - 0.35 * draws.unit() ** 2)
+        else:
+            s = reach * draws.uniform(-1, 1)
         doors.append(Door(wall, quantized(s, 3), width, draws.choice(_HINGES)))
     return tuple(doors)
 
@@ -136,19 +125,10 @@ def _windows(kind: Kind, shell: Shell, doors: Sequence[Door], draws: Draws) -> t
         for _ in range(8):
             reach = length / 2 - width / 2 - 0.3
             s = draws.uniform(-reach, reach)
-            others = [(d.s, d.width) for d in doors if d.wall == wall] + [
-                (w.s, w.width) for w in found if w.wall == wall
-            ]
+            openings: list[Door | Window] = [*doors, *found]
+            others = [(other.s, other.width) for other in openings if other.wall == wall]
             if all(abs(s - t) > (width + w) / 2 + 2 * CASING_M + 0.12 for t, w in others):
-                found.append(
-                    Window(
-                        wall,
-                        quantized(s, 3),
-                        quantized(width, 3),
-                        quantized(sill, 3),
-                        quantized(top - sill, 3),
-                        panes,
-                    )
-                )
+                s, width, low, height = (quantized(x, 3) for x in (s, width, sill, top - sill))
+                found.append(Window(wall, s, width, low, height, panes))
                 break
     return tuple(found)

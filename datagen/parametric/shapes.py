@@ -159,8 +159,7 @@ def rounded_box(
                 base = np.concatenate([np.full(segments + 1, -flat), middle, np.full(segments + 1, flat)])
                 grids.append((base, np.concatenate([angles, np.zeros(inner), -angles[::-1]])))
             (pb, ab), (pc, ac) = grids
-            rows, columns = len(pc), len(pb)
-            direction = np.zeros((rows, columns, 3))
+            direction = np.zeros((len(pc), len(pb), 3))
             direction[..., a] = s
             direction[..., b] = np.tan(ab)[None]
             direction[..., c] = np.tan(ac)[:, None]
@@ -169,16 +168,8 @@ def rounded_box(
             points[..., a] += s * (half[a] - r)
             points[..., b] += pb[None]
             points[..., c] += pc[:, None]
-            uv = np.stack(np.broadcast_arrays((pb + r * ab)[None] * s, (pc + r * ac)[:, None]), axis=-1)
-            faces = _lattice_faces(rows, columns)
-            shapes.append(
-                Shape(
-                    points.reshape(-1, 3),
-                    direction.reshape(-1, 3),
-                    uv.reshape(-1, 2),
-                    faces if s > 0 else faces[:, ::-1],
-                )
-            )
+            sheet = _lattice(points, direction, (pb + r * ab)[None] * s, (pc + r * ac)[:, None])
+            shapes.append(sheet if s > 0 else replace(sheet, faces=sheet.faces[:, ::-1]))
     shape = joined(shapes)
     points = shape.points
     if bulge:
@@ -199,6 +190,13 @@ def _lattice_faces(rows: int, columns: int) -> Ints:
     )
 
 
+def _lattice(points: Floats, normals: Floats, u: Floats, v: Floats) -> Shape:
+    """Return the surface through points (rows, columns, 3); ``u`` and ``v`` broadcast to (rows, columns)."""
+    uv = np.stack(np.broadcast_arrays(u, v), axis=-1).reshape(-1, 2)
+    faces = _lattice_faces(*points.shape[:2])
+    return Shape(points.reshape(-1, 3), normals.reshape(-1, 3), uv, faces)
+
+
 def smooth(shape: Shape) -> Shape:
     """Return the shape with area-weighted normals that coincident vertices share."""
     _, spot = np.unique(np.round(shape.points, 7), axis=0, return_inverse=True)
@@ -212,18 +210,12 @@ def smooth(shape: Shape) -> Shape:
     return replace(shape, normals=(total / np.maximum(length, 1e-30))[spot])
 
 
-def grid(points: Floats, is_print: bool = False) -> Shape:
+def grid(points: Floats) -> Shape:
     """Make a smooth sheet through points (rows, columns, 3); on its front, rows run up, columns right."""
-    rows, columns = points.shape[:2]
     along = np.linalg.norm(np.diff(points, axis=1), axis=2).mean(axis=0)
     up = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
     u, v = np.concatenate([[0.0], np.cumsum(along)]), np.concatenate([[0.0], np.cumsum(up)])
-    if is_print:
-        u, v = u / u[-1], v / v[-1]
-    uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    flat = points.reshape(-1, 3)
-    shape = Shape(flat, np.zeros_like(flat), uv, _lattice_faces(rows, columns), is_print)
-    return without_slivers(smooth(shape))
+    return without_slivers(smooth(_lattice(points, np.zeros_like(points), u[None], v[:, None])))
 
 
 def flipped(shape: Shape) -> Shape:
@@ -266,23 +258,23 @@ def lathe(profile: Sequence[tuple[float, float]], at: Point = _ORIGIN, segments:
         run = np.linalg.norm(np.diff(ring, axis=0), axis=1)
         u = length + np.concatenate([[0.0], np.cumsum(run)])
         length = float(u[-1])
-        count = len(ring)
-        points = np.empty((count, segments + 1, 3))
+        points = np.empty((len(ring), segments + 1, 3))
         points[..., :2] = ring[:, None, :1] * circle[None]
         points[..., 2] = ring[:, None, 1]
         normals = np.empty_like(points)
         normals[..., :2] = mean[:, None, :1] * circle[None]
         normals[..., 2] = mean[:, None, 1]
-        uv = np.stack(np.broadcast_arrays(u[:, None], (angle * widest)[None]), axis=-1)
-        shapes.append(
-            Shape(
-                points.reshape(-1, 3),
-                normals.reshape(-1, 3),
-                uv.reshape(-1, 2),
-                _lattice_faces(count, segments + 1),
-            )
-        )
+        shapes.append(_lattice(points, normals, u[:, None], (angle * widest)[None]))
     return without_slivers(joined(shapes)).moved(*at)
+
+
+def frame(width: float, height: float, bar: float, depth: float, at: Point) -> list[Shape]:
+    """Make two level bars of width ``bar`` and two uprights between them, bevelled by 4 mm."""
+    x, y, z = at
+    levels, sides = (z, z + height - bar), ((width - bar) / 2 * side for side in (-1, 1))
+    across = [box((width, depth, bar), (x, y, level), 0.004, grain=0) for level in levels]
+    size = (bar, depth, height - 2 * bar)
+    return across + [box(size, (x + side, y, z + bar), 0.004, grain=2) for side in sides]
 
 
 def cylinder(
@@ -318,15 +310,8 @@ def tube(path: Sequence[Point], radius: float, segments: int = 8) -> Shape:
         rings.append(place + radius * normal)
         normals.append(normal)
     run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    uv = np.stack(np.broadcast_arrays(run[:, None], (angle * radius)[None]), axis=-1)
-    count = len(points)
-    body = Shape(
-        np.concatenate(rings),
-        np.concatenate(normals),
-        uv.reshape(-1, 2),
-        _lattice_faces(count, segments + 1)[:, ::-1],
-    )
-    return joined([_wound(body), _cap(rings[0], -ahead[0]), _cap(rings[-1], ahead[-1])])
+    body = _lattice(np.array(rings), np.array(normals), run[:, None], (angle * radius)[None])
+    return joined([_wound(body), _cap(rings[0][:-1], -ahead[0]), _cap(rings[-1][:-1], ahead[-1])])
 
 
 def _wound(shape: Shape) -> Shape:
@@ -338,10 +323,8 @@ def _wound(shape: Shape) -> Shape:
     return replace(shape, faces=faces)
 
 
-def _cap(ring: Floats, normal: Floats) -> Shape:
-    rim = ring[:-1]
-    count = len(rim)
-    faces = np.array([(0, k, k + 1) for k in range(1, count - 1)])
+def _cap(rim: Floats, normal: Floats) -> Shape:
+    faces = np.array([(0, k, k + 1) for k in range(1, len(rim) - 1)])
     side = (rim[0] - rim.mean(axis=0)) / np.linalg.norm(rim[0] - rim.mean(axis=0))
     uv = np.stack([(rim - rim[0]) @ side, (rim - rim[0]) @ np.cross(normal, side)], axis=1)
     return _wound(Shape(rim, np.broadcast_to(normal, rim.shape).copy(), uv, faces))
@@ -357,9 +340,7 @@ def flat(quads: Floats, is_print: bool = False) -> Shape:
     if is_print:
         uv = np.tile(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), (len(quads), 1))
     else:
-        uv = np.stack(
-            [np.einsum("qcx,qx->qc", quads, u), np.einsum("qcx,qx->qc", quads, v)], axis=-1
-        ).reshape(-1, 2)
+        uv = np.stack([np.einsum("qcx,qx->qc", quads, edge) for edge in (u, v)], axis=-1).reshape(-1, 2)
     start = 4 * np.arange(len(quads))[:, None]
     faces = np.concatenate([start + np.array([0, 1, 2]), start + np.array([0, 2, 3])])
     return Shape(quads.reshape(-1, 3), np.repeat(normal, 4, axis=0), uv, faces, is_print)
@@ -370,34 +351,19 @@ def loft(rings: Floats, caps: tuple[bool, bool] = (False, False)) -> Shape:
 
     For a basin, further rings run down the inside. ``caps``: whether the first and the last ring are closed.
     """
-    closed = np.concatenate([rings, rings[:, :1]], axis=1)
-    skin = grid(closed)
-    shapes = [skin]
+    shapes = [grid(np.concatenate([rings, rings[:, :1]], axis=1))]
     for is_capped, ring, sign in ((caps[0], rings[0], -1.0), (caps[1], rings[-1], 1.0)):
         if is_capped:
-            closed_ring = np.concatenate([ring, ring[:1]])
-            shapes.append(_cap(closed_ring, np.array([0.0, 0.0, sign])))
+            shapes.append(_cap(ring, np.array([0.0, 0.0, sign])))
     return joined(shapes)
 
 
-def rounded_ring(
-    width: float,
-    depth: float,
-    radius: float,
-    z: float,
-    centre: tuple[float, float] = (0.0, 0.0),
-    steps: int = 4,
-) -> Floats:
-    """Return a rounded rectangle at height z as a counter-clockwise ring (4 (steps + 1), 3) of points."""
+def rounded_ring(width: float, depth: float, radius: float, z: float, centre: tuple[float, float]) -> Floats:
+    """Return a rounded rectangle at height z as a counter-clockwise ring (20, 3) of points."""
     r = min(radius, 0.499 * width, 0.499 * depth)
     points = []
     for k, (sx, sy) in enumerate(((1, -1), (1, 1), (-1, 1), (-1, -1))):
-        for angle in np.linspace(-math.pi / 2, 0, steps + 1) + k * math.pi / 2:
-            points.append(
-                (
-                    centre[0] + sx * (0.5 * width - r) + r * math.cos(angle),
-                    centre[1] + sy * (0.5 * depth - r) + r * math.sin(angle),
-                    z,
-                )
-            )
+        for angle in np.linspace(-math.pi / 2, 0, 5) + k * math.pi / 2:
+            x = centre[0] + sx * (0.5 * width - r) + r * math.cos(angle)
+            points.append((x, centre[1] + sy * (0.5 * depth - r) + r * math.sin(angle), z))
     return np.array(points)

@@ -8,14 +8,26 @@ In a wall's frame, s runs right as seen from inside, the wall's face is y = 0, a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from datagen.foundation.random import Draws
 from datagen.parametric.items import Item, Placed
-from datagen.parametric.shapes import Floats, Shape, box, cylinder, flat, grid, lathe, rotation, tube
+from datagen.parametric.shapes import (
+    Floats,
+    Point,
+    Shape,
+    box,
+    cylinder,
+    flat,
+    frame,
+    grid,
+    lathe,
+    rotation,
+    tube,
+)
 
 Wall = Literal["north", "west", "south", "east"]
 WALLS: tuple[Wall, ...] = ("north", "west", "south", "east")
@@ -83,12 +95,14 @@ class Shell:
         """Return an item placed with its back ``gap`` metres in front of a wall, at ``s``, height ``z``."""
         return Placed(item, name, (*self.point(wall, s, gap), z), _YAW[wall])
 
+    def holes(self, wall: Wall) -> list[tuple[float, float, float, float]]:
+        """Return the windows of a wall as (s0, s1, z0, z1)."""
+        own = [w for w in self.windows if w.wall == wall]
+        return [(w.s - w.width / 2, w.s + w.width / 2, w.sill, w.sill + w.height) for w in own]
+
     def spans(self, wall: Wall) -> list[tuple[float, float, float, float]]:
         """Return the openings of a wall, including their casings, as (s0, s1, z0, z1)."""
-        found = []
-        for w in self.windows:
-            if w.wall == wall:
-                found.append((w.s - w.width / 2, w.s + w.width / 2, w.sill, w.sill + w.height))
+        found = self.holes(wall)
         for d in self.doors:
             if d.wall == wall:
                 found.append((d.s - d.width / 2, d.s + d.width / 2, 0.0, d.height))
@@ -113,7 +127,7 @@ def shell_items(shell: Shell, draws: Draws) -> list[Placed]:
     body.shapes.append(("ceiling", box((w + 2 * t, d + 2 * t, 0.2), (0, 0, h), 0.0)))
     found = [Placed(body, "shell", (0.0, 0.0, 0.0), 0.0)]
     for wall in WALLS:
-        found.append(Placed(_wall(shell, wall), f"wall_{wall}", (*shell.point(wall, 0.0), 0.0), _YAW[wall]))
+        found.append(shell.on_wall(_wall(shell, wall), f"wall_{wall}", wall, 0.0, 0.0))
     skirting = draws.uniform(0.06, 0.14)
     cornice = draws.chance(0.25)
     for wall in WALLS:
@@ -138,11 +152,7 @@ def _wall(shell: Shell, wall: Wall) -> Item:
     """Make a wall of full thickness with window holes; north and south walls include the corners."""
     reach = THICKNESS if wall in ("north", "south") else 0.0
     half = shell.length(wall) / 2 + reach
-    holes = [
-        (x.s - x.width / 2, x.s + x.width / 2, x.sill, x.sill + x.height)
-        for x in shell.windows
-        if x.wall == wall
-    ]
+    holes = shell.holes(wall)
     xs = sorted({-half, half, *(v for hole in holes for v in hole[:2])})
     zs = sorted({-0.05, shell.height + 0.05, *(v for hole in holes for v in hole[2:])})
 
@@ -179,9 +189,8 @@ def _skirting(item: Item, shell: Shell, wall: Wall, height: float) -> None:
         if a - start > 0.02:
             middle = (a + start) / 2
             item.add("trim", box((a - start, 0.014, height), (middle, -0.007, 0), 0.003, grain=0))
-            item.add(
-                "trim", box((a - start, 0.009, 0.014), (middle, -0.0045, height - 0.002), 0.003, grain=0)
-            )
+            at = (middle, -0.0045, height - 0.002)
+            item.add("trim", box((a - start, 0.009, 0.014), at, 0.003, grain=0))
         start = b
 
 
@@ -204,53 +213,31 @@ def _window(window: Window) -> Item:
     """Make a window with handles, sill board and casing; z = 0 is the lower edge of the opening."""
     item = Item("window", hold="wall")
     w, h, y = window.width, window.height, _RECESS
-    frame = 0.055
-    for z in (0.0, h - frame):
-        item.add("trim", box((w, 0.06, frame), (0, y, z), 0.004, grain=0))
-    for side in (-1, 1):
-        item.add(
-            "trim", box((frame, 0.06, h - 2 * frame), (side * (w - frame) / 2, y, frame), 0.004, grain=2)
-        )
+    rim = 0.055
+    item.add("trim", *frame(w, h, rim, 0.06, (0, y, 0.0)))
     columns, rows = window.panes
-    inner_w, inner_h = w - 2 * frame, h - 2 * frame
+    inner_w, inner_h = w - 2 * rim, h - 2 * rim
     for k in range(columns):
         cw = inner_w / columns
         x = -inner_w / 2 + (k + 0.5) * cw
-        for z in (0.002, inner_h - 0.052):
-            item.add("trim", box((cw - 0.004, 0.045, 0.05), (x, y - 0.012, frame + z), 0.004, grain=0))
-        for side in (-1, 1):
-            at = (x + side * (cw / 2 - 0.027), y - 0.012, frame + 0.052)
-            item.add("trim", box((0.05, 0.045, inner_h - 0.104), at, 0.004, grain=2))
+        item.add("trim", *frame(cw - 0.004, inner_h - 0.004, 0.05, 0.045, (x, y - 0.012, rim + 0.002)))
         for r in range(1, rows):
-            at = (x, y - 0.012, frame + r * inner_h / rows - 0.011)
+            at = (x, y - 0.012, rim + r * inner_h / rows - 0.011)
             item.add("trim", box((cw - 0.104, 0.03, 0.022), at, 0.003, grain=0))
         hx = x + (cw / 2 - 0.027) * (1 if k % 2 == 0 else -1)
         level = min(0.45 * h, 1.05)
         item.add("metal", box((0.026, 0.01, 0.07), (hx, y - 0.038, level), 0.003))
-        item.add(
-            "metal",
-            tube(
-                [
-                    (hx, y - 0.04, level + 0.035),
-                    (hx, y - 0.065, level + 0.033),
-                    (hx, y - 0.068, level - 0.08),
-                ],
-                0.0075,
-                8,
-            ),
-        )
+        lever = ((0.04, 0.035), (0.065, 0.033), (0.068, -0.08))
+        item.add("metal", tube([(hx, y - dy, level + dz) for dy, dz in lever], 0.0075, 8))
     if window.sill > 0.3:
         item.add("sill", box((w + 0.12, 0.07, 0.03), (0, -0.0345, -0.029), 0.006, grain=0))
-        item.add(
-            "sill", box((w - 0.002, y - 0.03, 0.0305), (0, (y - 0.03) / 2 + 0.0001, -0.029), 0.0005, grain=0)
-        )
+        at = (0, (y - 0.03) / 2 + 0.0001, -0.029)
+        item.add("sill", box((w - 0.002, y - 0.03, 0.0305), at, 0.0005, grain=0))
         item.support("sill", (0, y / 2 - 0.05), (w - 0.12, y - 0.02), 0.0015, 0.45)
     foot = 0.001 if window.sill > 0.3 else 0.0
     for side in (-1, 1):
-        item.add(
-            "trim",
-            box((0.07, 0.018, h + 0.012 - foot), (side * (w / 2 + 0.03), -0.009, foot), 0.004, grain=2),
-        )
+        at = (side * (w / 2 + 0.03), -0.009, foot)
+        item.add("trim", box((0.07, 0.018, h + 0.012 - foot), at, 0.004, grain=2))
     item.add("trim", box((w + 0.16, 0.022, 0.075), (0, -0.011, h + 0.012), 0.005, grain=0))
     return item
 
@@ -290,14 +277,8 @@ def openings(shell: Shell) -> list[tuple[str, Floats, Floats, Floats]]:
         yaw = rotation("z", _YAW[window.wall])
         corner = np.array([*shell.point(window.wall, window.s, -(THICKNESS + 0.005)), window.sill])
         right = yaw @ np.array([1.0, 0.0, 0.0])
-        found.append(
-            (
-                f"window {k}",
-                corner - 0.5 * window.width * right,
-                window.width * right,
-                np.array([0.0, 0.0, window.height]),
-            )
-        )
+        up = np.array([0.0, 0.0, window.height])
+        found.append((f"window {k}", corner - 0.5 * window.width * right, window.width * right, up))
     return found
 
 
@@ -343,23 +324,15 @@ def _hedge(draws: Draws, y: float, level: float) -> Shape:
 
 def _tree(draws: Draws, level: float) -> list[tuple[Shape, str]]:
     tall = draws.uniform(3.5, 8.0)
-    found: list[tuple[Shape, str]] = [
-        (
-            tube(
-                [(0, 0, level), (0.1, 0, level + 0.3 * tall), (0.0, 0.05, level + 0.75 * tall)],
-                0.06 + 0.012 * tall,
-                8,
-            ),
-            "bark",
-        )
-    ]
+    trunk: list[Point] = [(0, 0, level), (0.1, 0, level + 0.3 * tall), (0.0, 0.05, level + 0.75 * tall)]
+    found = [(tube(trunk, 0.06 + 0.012 * tall, 8), "bark")]
     for _ in range(9):
         radius = draws.uniform(0.12, 0.22) * tall
         angle = np.linspace(-math.pi / 2, math.pi / 2, 7)
         crown = lathe([(radius * math.cos(a), radius * math.sin(a)) for a in angle], segments=11)
         bumps = 1 + 0.22 * np.sin(7 * crown.points @ draws.sphere(1)[0] / radius + draws.uniform(0, 6))
         place = draws.sphere(1)[0] * tall * np.array([0.2, 0.2, 0.16])
-        shape = Shape(crown.points * bumps[:, None], crown.normals, crown.uv, crown.faces)
+        shape = replace(crown, points=crown.points * bumps[:, None])
         found.append((shape.moved(place[0], place[1], level + 0.72 * tall + place[2]), "foliage"))
     return found
 
