@@ -9,6 +9,7 @@ from datagen.foundation.random import Draws
 from datagen.parametric.items import Item, Style
 from datagen.parametric.joinery import ring_of
 from datagen.parametric.shapes import (
+    Point,
     Shape,
     box,
     cylinder,
@@ -56,12 +57,8 @@ def curtains(style: Style, draws: Draws, window: float, height: float, floor: fl
     half = window / 2 + 0.24
     item.add("metal", tube([(-half, -off_wall, height), (half, -off_wall, height)], 0.012, 10))
     for x in (-half, half):
-        item.add(
-            "metal",
-            cylinder(0.02, 0.03, bevel=0.006, segments=12)
-            .turned("y", 90)
-            .moved(x - 0.015, -off_wall, height),
-        )
+        end = cylinder(0.02, 0.03, bevel=0.006, segments=12).turned("y", 90)
+        item.add("metal", end.moved(x - 0.015, -off_wall, height))
     for x in (-half + 0.06, half - 0.06):
         item.add("metal", tube([(x, -0.0005, height), (x, 0.002 - off_wall, height)], 0.007, 6))
     for side in (-1, 1):
@@ -95,14 +92,8 @@ def roller_blind(style: Style, draws: Draws, window: float, height: float) -> It
     """Make a roller blind for a ``window`` by ``height`` m window; z = 0 is the window's lower edge."""
     item = Item("blind", hold="wall")
     drop = draws.uniform(0.15, 0.55) * height
-    item.add(
-        "metal",
-        tube(
-            [(-window / 2 - 0.092, -0.05, height + 0.06), (window / 2 + 0.092, -0.05, height + 0.06)],
-            0.024,
-            12,
-        ),
-    )
+    roll = [(x, -0.05, height + 0.06) for x in (-window / 2 - 0.092, window / 2 + 0.092)]
+    item.add("metal", tube(roll, 0.024, 12))
     item.add("blind", box((window + 0.06, 0.002, drop), (0, -0.073, height + 0.06 - drop), 0.0))
     item.add("blind", box((window + 0.06, 0.012, 0.024), (0, -0.073, height + 0.06 - drop - 0.022), 0.004))
     for x in (-window / 2 - 0.1, window / 2 + 0.1):
@@ -153,13 +144,7 @@ def picture(style: Style, draws: Draws, width: float, height: float, art: str) -
     """Make a framed print with a mount; ``art``: slot of the print; z = 0 is the frame's lower edge."""
     item = Item("picture", hold="wall")
     f = draws.uniform(0.012, 0.035)
-    for z in (0.0, height - f):
-        item.add("frame", box((width, 0.022, f), (0, -0.012, z), 0.003, grain=0))
-    for x in (-width / 2 + f / 2, width / 2 - f / 2):
-        item.add("frame", box((f, 0.0219, height - 2 * f + 0.001), (x, -0.012, f - 0.0005), 0.003, grain=2))
-    item.add(
-        "mount", box((width - 2 * f + 0.001, 0.006, height - 2 * f + 0.001), (0, -0.008, f - 0.0005), 0.0)
-    )
+    _framed(item, "mount", (width, height), f, 0.022, (-0.012, -0.008), 0.003)
     m = draws.choice((0.0, 0.06, 0.09)) if min(width, height) > 0.3 else 0.0
     w, h = width / 2 - f - m, height - f - m
     quad = np.array([[[-w, -0.0118, f + m], [w, -0.0118, f + m], [w, -0.0118, h], [-w, -0.0118, h]]])
@@ -167,41 +152,41 @@ def picture(style: Style, draws: Draws, width: float, height: float, art: str) -
     return item
 
 
+def _framed(
+    item: Item, slot: str, size: tuple[float, float], rim: float, depth: float, ys: tuple[float, float],
+    bevel: float,
+) -> None:  # fmt: skip
+    """Add a frame of ``size`` (width, height) with bars ``rim`` wide and a pane in ``slot``, at ``ys``."""
+    width, height = size
+    for z in (0.0, height - rim):
+        item.add("frame", box((width, depth, rim), (0, ys[0], z), bevel, grain=0))
+    inner, low = height - 2 * rim + 0.001, rim - 0.0005
+    for x in (-width / 2 + rim / 2, width / 2 - rim / 2):
+        item.add("frame", box((rim, depth - 0.0001, inner), (x, ys[0], low), bevel, grain=2))
+    item.add(slot, box((width - 2 * rim + 0.001, 0.006, inner), (0, ys[1], low), 0.0))
+
+
 def mirror(style: Style, draws: Draws, width: float, height: float) -> Item:
     """Make a framed mirror of ``width`` by ``height`` metres; z = 0 is its lower edge."""
     item = Item("mirror", hold="wall")
-    f = draws.uniform(0.008, 0.03)
-    for z in (0.0, height - f):
-        item.add("frame", box((width, 0.024, f), (0, -0.013, z), 0.002, grain=0))
-    for x in (-width / 2 + f / 2, width / 2 - f / 2):
-        item.add("frame", box((f, 0.0239, height - 2 * f + 0.001), (x, -0.013, f - 0.0005), 0.002, grain=2))
-    item.add(
-        "mirror", box((width - 2 * f + 0.001, 0.006, height - 2 * f + 0.001), (0, -0.012, f - 0.0005), 0.0)
-    )
+    _framed(item, "mirror", (width, height), draws.uniform(0.008, 0.03), 0.024, (-0.013, -0.012), 0.002)
     return item
 
 
 def board(style: Style, draws: Draws, width: float, height: float, slot: str) -> Item:
     """Make a wall board; ``slot`` is ``white_board`` (with a tray) or ``slate_board``."""
     item = Item("board", hold="wall")
+    rim = "metal" if slot == "white_board" else "second"
     for z in (0.0, height - 0.02):
-        item.add(
-            "metal" if slot == "white_board" else "second",
-            box((width, 0.02, 0.02), (0, -0.011, z), 0.003, grain=0),
-        )
+        item.add(rim, box((width, 0.02, 0.02), (0, -0.011, z), 0.003, grain=0))
     for x in (-width / 2 + 0.01, width / 2 - 0.01):
-        item.add(
-            "metal" if slot == "white_board" else "second",
-            box((0.02, 0.0198, height - 0.04), (x, -0.011, 0.02), 0.003),
-        )
+        item.add(rim, box((0.02, 0.0198, height - 0.04), (x, -0.011, 0.02), 0.003))
     item.add(slot, box((width - 0.039, 0.01, height - 0.039), (0, -0.008, 0.0195), 0.0))
     if slot == "white_board":
         item.add("metal", box((0.5, 0.06, 0.008), (0, -0.049, -0.0085), 0.002))
         for k, colour in enumerate(("toy_a", "toy_b", "dark")):
-            item.add(
-                colour,
-                tube([(-0.18 + 0.15 * k, -0.05, 0.0075), (-0.06 + 0.15 * k, -0.05, 0.0075)], 0.0078, 8),
-            )
+            pen = [(x + 0.15 * k, -0.05, 0.0075) for x in (-0.18, -0.06)]
+            item.add(colour, tube(pen, 0.0078, 8))
     return item
 
 
@@ -236,17 +221,9 @@ def plant(style: Style, draws: Draws) -> Item:
     item = Item("plant")
     r, h = draws.uniform(0.14, 0.2), draws.uniform(0.24, 0.36)
     c = -0.42
-    profile = [
-        (0, 0),
-        (0.72 * r, 0),
-        (0.76 * r, 0.01),
-        (r, h - 0.01),
-        (r, h),
-        (r - 0.016, h),
-        (r - 0.02, h - 0.035),
-        (0, h - 0.035),
-    ]
-    item.add("pot", lathe(profile, (0, c, 0), 28))
+    outside = [(0, 0), (0.72 * r, 0), (0.76 * r, 0.01), (r, h - 0.01), (r, h)]
+    inside = [(r - 0.016, h), (r - 0.02, h - 0.035), (0, h - 0.035)]
+    item.add("pot", lathe([*outside, *inside], (0, c, 0), 28))
     item.add("soil", cylinder(r - 0.019, 0.012, (0, c, h - 0.0365), 20))
     count = draws.integer(10, 18)
     is_broad = draws.chance(0.5)
@@ -266,7 +243,7 @@ def plant(style: Style, draws: Draws) -> Item:
     return item
 
 
-def _leaf(tip: tuple[float, float, float], angle: float, reach: float, length: float, width: float) -> Shape:
+def _leaf(tip: Point, angle: float, reach: float, length: float, width: float) -> Shape:
     t = np.linspace(0, 1, 9)
     rise = length * (0.55 * t - 0.5 * t**2)
     half = width * np.sqrt(np.maximum(np.sin(np.pi * np.clip(t * 0.94 + 0.04, 0, 1)), 0.0))
@@ -277,9 +254,8 @@ def _leaf(tip: tuple[float, float, float], angle: float, reach: float, length: f
         points[:, j, 2] = rise + (0.2 * half if side else 0.0)
     front = grid(points)
     under = grid(points - np.array([0, 0, 0.0008]))
-    leaf = (
-        joined([front, flipped(under)]) if front.normals[:, 2].mean() > 0 else joined([flipped(front), under])
-    )
+    is_up = front.normals[:, 2].mean() > 0
+    leaf = joined([front, flipped(under)] if is_up else [flipped(front), under])
     return leaf.turned("z", float(np.degrees(angle))).moved(*tip)
 
 
@@ -290,10 +266,9 @@ def pouf(style: Style, draws: Draws) -> Item:
     if draws.chance(0.5):
         item.add("cushion_b", rounded_box((2 * r, 2 * r, h), 0.05, (0, -r - 0.02, 0), 3))
     else:
-        rim = [(r - 0.05 + 0.05 * np.sin(a), 0.05 - 0.05 * np.cos(a)) for a in np.linspace(0, np.pi / 2, 5)]
-        top = [
-            (r - 0.06 + 0.06 * np.cos(a), h - 0.06 + 0.06 * np.sin(a)) for a in np.linspace(0, np.pi / 2, 6)
-        ]
+        low, high = np.linspace(0, np.pi / 2, 5), np.linspace(0, np.pi / 2, 6)
+        rim = [(r - 0.05 + 0.05 * np.sin(a), 0.05 - 0.05 * np.cos(a)) for a in low]
+        top = [(r - 0.06 + 0.06 * np.cos(a), h - 0.06 + 0.06 * np.sin(a)) for a in high]
         item.add("cushion_b", lathe([(0, 0), *rim, *top, (0, h + 0.006)], (0, -r - 0.02, 0), 36))
     item.support("seat", (0, -r - 0.02), (r, r), h, 0.6)
     return item

@@ -13,6 +13,7 @@ from datagen.parametric.items import Item, Placed
 from datagen.parametric.layout import SIDES, Furnisher, Unfit
 
 _SPACING_M = 2.5  # distance between ceiling lamps of one room
+_PICTURES_M = ((0.4, 0.5), (0.5, 0.7), (0.7, 0.5), (0.9, 0.6), (0.6, 0.8), (0.3, 0.4), (1.1, 0.75))
 
 
 def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: float) -> None:
@@ -64,7 +65,7 @@ def seats(room: Furnisher, count: int) -> list[Placed]:
     """Place up to ``count`` armchairs in corners or in the middle of the room."""
     found = []
     for _ in range(count):
-        item = seating.armchair(room.style, room.draws)
+        item = seating.sofa(room.style, room.draws, 1)
         placed = room.at_wall(item, where="corner", gap=0.14) or room.in_middle(item)
         if placed is not None:
             found.append(placed)
@@ -94,9 +95,7 @@ def pictures(room: Furnisher, most: int) -> None:
     """Hang up to ``most`` pictures or pairs of pictures on free walls, at eye height."""
     draws, style = room.draws, room.style
     for _ in range(most):
-        w, h = draws.choice(
-            ((0.4, 0.5), (0.5, 0.7), (0.7, 0.5), (0.9, 0.6), (0.6, 0.8), (0.3, 0.4), (1.1, 0.75))
-        )
+        w, h = draws.choice(_PICTURES_M)
         z = 1.52 - h / 2 + draws.uniform(-0.06, 0.12)
         item = fittings.picture(style, draws, w, h, room.art())
         first = room.hang(item, z)
@@ -129,10 +128,8 @@ def decorate(
     """
     draws, style = room.draws, room.style
     if draws.chance(0.55):
-        room.hang(
-            storage.wall_shelf(style, draws, draws.uniform(0.6, 1.1), draws.integer(1, 2)),
-            draws.uniform(1.25, 1.5),
-        )
+        shelf = storage.wall_shelf(style, draws, draws.uniform(0.6, 1.1), draws.integer(1, 2))
+        room.hang(shelf, draws.uniform(1.25, 1.5))
     pictures(room, draws.integer(min(2, most), most) if is_home else draws.integer(1, 3))
     for _ in range(draws.integer(0, 2)):
         plant_somewhere(room)
@@ -193,15 +190,8 @@ def ceiling_light(
 
 
 def _ceiling_lamp(slot: str, kind: str, drop: float, draws: Draws) -> Item:
-    if kind == "disc":
-        return lamps.ceiling_disc(draws, slot)
-    if kind == "panel":
-        return lamps.panel(draws, slot)
-    if kind == "batten":
-        return lamps.batten(draws, slot)
-    if kind == "spots":
-        return lamps.spots(draws, slot)
-    return lamps.pendant(draws, slot, drop, kind == "globe")
+    flat = {"disc": lamps.ceiling_disc, "panel": lamps.panel, "batten": lamps.batten, "spots": lamps.spots}
+    return flat[kind](draws, slot) if kind in flat else lamps.pendant(draws, slot, drop, kind == "globe")
 
 
 def desk_place(room: Furnisher, needed: bool) -> bool:

@@ -37,7 +37,7 @@ def bedroom(room: Furnisher) -> None:
     room.at_wall(storage.chest(style, draws, draws.uniform(0.7, 1.2)))
     extra = draws.unit()
     if extra < 0.35:
-        room.at_wall(seating.armchair(style, draws), where="corner", gap=0.12)
+        room.at_wall(seating.sofa(style, draws, 1), where="corner", gap=0.12)
     elif extra < 0.65:
         desk_place(room, False)
     else:
@@ -76,11 +76,10 @@ def study(room: Furnisher) -> None:
     draws, style = room.draws, room.style
     desk_place(room, True)
     for _ in range(draws.integer(1, 3)):
-        room.at_wall(
-            storage.bookcase(style, draws, draws.uniform(0.8, 1.8), draws.uniform(1.5, 2.2), fill=0.85)
-        )
+        size = draws.uniform(0.8, 1.8), draws.uniform(1.5, 2.2)
+        room.at_wall(storage.bookcase(style, draws, *size, fill=0.85))
     if draws.chance(0.7):
-        room.at_wall(seating.armchair(style, draws), where="corner", gap=0.15)
+        room.at_wall(seating.sofa(style, draws, 1), where="corner", gap=0.15)
         floor_lamp_somewhere(room)
     if draws.chance(0.4):
         room.at_wall(storage.sideboard(style, draws, draws.uniform(0.9, 1.5)))
@@ -92,25 +91,20 @@ def study(room: Furnisher) -> None:
 def living_room(room: Furnisher) -> None:
     """Place a sofa, a table in front of it, a television opposite, armchairs and shelves."""
     draws, style = room.draws, room.style
-    sofa = room.at_wall(
-        seating.sofa(style, draws, draws.integer(2, 3)),
-        where="middle",
-        needed=True,
-        gap=draws.uniform(0.03, 0.25),
-    )
+    item = seating.sofa(style, draws, draws.integer(2, 3))
+    sofa = room.at_wall(item, where="middle", needed=True, gap=draws.uniform(0.03, 0.25))
     assert sofa is not None
     wide = float(sofa.item.bounds[1, 0] - sofa.item.bounds[0, 0])
     width, depth = draws.uniform(0.9, min(1.25, wide - 0.5)), draws.uniform(0.5, 0.65)
     table = tables.table(style, draws, width, depth, draws.uniform(0.38, 0.46), "coffee_table")
     rug = None
     if draws.chance(0.65):
-        rug = room.before(
-            fittings.rug(style, draws, draws.uniform(1.9, 2.6), draws.uniform(1.3, 1.7)), sofa, 0.06
-        )
+        cloth = fittings.rug(style, draws, draws.uniform(1.9, 2.6), draws.uniform(1.3, 1.7))
+        rug = room.before(cloth, sofa, 0.06)
     if rug is not None:
         h = rug.item.bounds
-        at = rug.room_from_item @ [0.0, 0.5 * h[0, 1] + depth / 2, h[1, 2], 1.0]
-        room.offer(table, (float(at[0]), float(at[1]), float(at[2])), rug.yaw_rad, stands_on=rug.name)
+        at = rug.point(0.0, 0.5 * h[0, 1] + depth / 2, h[1, 2])
+        room.offer(table, at, rug.yaw_rad, stands_on=rug.name)
     else:
         room.before(table, sofa, draws.uniform(0.36, 0.45))
     bench = storage.sideboard(style, draws, draws.uniform(1.4, 2.0), draws.uniform(0.42, 0.56))
@@ -123,9 +117,8 @@ def living_room(room: Furnisher) -> None:
     if draws.chance(0.7):
         room.at_wall(storage.bookcase(style, draws, draws.uniform(0.8, 1.7), draws.uniform(1.1, 2.1)))
     if draws.chance(0.5):
-        side = room.beside(
-            tables.round_table(style, draws, 0.45, 0.52), sofa, draws.choice(("left", "right")), 0.06
-        )
+        item = tables.round_table(style, draws, 0.45, 0.52)
+        side = room.beside(item, sofa, draws.choice(LEFT_RIGHT), 0.06)
         if side is not None:
             lamp_on(room, side)
     floor_lamp_somewhere(room)
@@ -141,23 +134,19 @@ def dining_room(room: Furnisher) -> None:
     draws, style = room.draws, room.style
     is_round = draws.chance(0.3)
     long = draws.uniform(1.4, 2.2)
-    item = (
-        tables.round_table(style, draws, draws.uniform(1.05, 1.3))
-        if is_round
-        else tables.table(style, draws, long, draws.uniform(0.85, 1.0))
-    )
+    if is_round:
+        item = tables.round_table(style, draws, draws.uniform(1.05, 1.3))
+    else:
+        item = tables.table(style, draws, long, draws.uniform(0.85, 1.0))
     table = room.in_middle(item, True, 0.25)
     assert table is not None
     chair = seating.chair(style, draws)
     chairs_around(room, table, chair, 1 if is_round else max(2, int(long / 0.68)))
-    room.at_wall(
-        storage.sideboard(style, draws, draws.uniform(1.2, 2.0), draws.uniform(0.75, 0.95)), where="middle"
-    )
+    sideboard = storage.sideboard(style, draws, draws.uniform(1.2, 2.0), draws.uniform(0.75, 0.95))
+    room.at_wall(sideboard, where="middle")
     if draws.chance(0.5):
-        room.at_wall(
-            storage.bookcase(style, draws, draws.uniform(0.8, 1.2), draws.uniform(1.8, 2.1), 0.36, 0.25),
-            where="corner",
-        )
+        size = draws.uniform(0.8, 1.2), draws.uniform(1.8, 2.1)
+        room.at_wall(storage.bookcase(style, draws, *size, 0.36, 0.25), where="corner")
     if draws.chance(0.35):
         room.hang(fittings.mirror(style, draws, draws.uniform(0.6, 1.0), draws.uniform(0.7, 1.1)), 1.0)
     fill(room, ("chest", "trolley", "open_shelf", "chair", "bench", "basket"), 2, 6)
@@ -184,17 +173,15 @@ def kitchen(room: Furnisher) -> None:
     extra = draws.unit()
     if extra < 0.6:
         is_round = draws.chance(0.4)
-        item = (
-            tables.round_table(style, draws, draws.uniform(0.8, 1.05))
-            if is_round
-            else tables.table(style, draws, draws.uniform(0.9, 1.4), draws.uniform(0.7, 0.85))
-        )
+        if is_round:
+            item = tables.round_table(style, draws, draws.uniform(0.8, 1.05))
+        else:
+            item = tables.table(style, draws, draws.uniform(0.9, 1.4), draws.uniform(0.7, 0.85))
         table = room.in_middle(item)
         if table is not None:
             chairs_around(room, table, seating.chair(style, draws), 1 if is_round else 2)
     else:
-        item = units.kitchen_run(style, draws, ["drawers", "doors"], False)
-        room.at_wall(item, where="any")
+        room.at_wall(units.kitchen_run(style, draws, ["drawers", "doors"], False))
     if draws.chance(0.6):
         room.hang(storage.wall_shelf(style, draws, draws.uniform(0.7, 1.2), draws.integer(1, 2)), 1.45)
     fill(room, ("trolley", "bin", "sideboard", "stool", "rack", "basket", "open_shelf"), 2, 5)
@@ -210,8 +197,7 @@ def bathroom(room: Furnisher) -> None:
     basin = room.at_wall(sanitary.vanity(style, draws, draws.uniform(0.6, 1.2)), needed=True, gap=0.016)
     assert basin is not None
     width = float(basin.item.bounds[1, 0] * 2) * draws.uniform(0.7, 1.0)
-    top = 1.2
-    glass = room.over(fittings.mirror(style, draws, width, draws.uniform(0.6, 0.85)), basin, top)
+    glass = room.over(fittings.mirror(style, draws, width, draws.uniform(0.6, 0.85)), basin, 1.2)
     if glass is not None:
         room.over(lamps.wall_lamp(draws, room.glow()), basin, 2.13)
     room.at_wall(sanitary.toilet(style, draws), needed=True, gap=0.016)
@@ -220,17 +206,9 @@ def bathroom(room: Furnisher) -> None:
     if draws.chance(0.5):
         room.at_wall(storage.basket(style, draws))
     if draws.chance(0.4):
-        room.at_wall(
-            storage.cabinet(
-                "cupboard",
-                style,
-                (0.4, 0.34, draws.uniform(1.5, 1.8)),
-                [("door", 0.8), ("door", 0.8)],
-                1,
-                0.06,
-            ),
-            where="corner",
-        )
+        tall = (0.4, 0.34, draws.uniform(1.5, 1.8))
+        cupboard = storage.cabinet("cupboard", style, tall, [("door", 0.8)] * 2, 1, 0.06)
+        room.at_wall(cupboard, where="corner")
     if draws.chance(0.3):
         plant_somewhere(room)
     fill(room, ("bin", "basket", "stool", "trolley", "cupboard"), 2, 6)
@@ -245,21 +223,18 @@ def hallway(room: Furnisher) -> None:
     draws, style = room.draws, room.style
     kind = draws.unit()
     if kind < 0.5:
-        d = 0.34
-        console = tables.table(style, draws, draws.uniform(0.8, 1.2), d, 0.82, "console")
-        console.front_m = 0.4
-        host = room.at_wall(console, where="any")
-        if host is not None:
-            room.over(
-                fittings.mirror(style, draws, draws.uniform(0.45, 0.7), draws.uniform(0.6, 0.95)), host, 1.05
-            )
-            lamp_on(room, host, 0.3)
+        item = tables.table(style, draws, draws.uniform(0.8, 1.2), 0.34, 0.82, "console")
+        item.front_m = 0.4
+        tallest, z = 0.95, 1.05
     else:
-        host = room.at_wall(storage.sideboard(style, draws, draws.uniform(0.8, 1.4), draws.uniform(0.8, 1.0)))
-        if host is not None:
-            room.over(
-                fittings.mirror(style, draws, draws.uniform(0.45, 0.7), draws.uniform(0.6, 0.8)), host, 1.2
-            )
+        item = storage.sideboard(style, draws, draws.uniform(0.8, 1.4), draws.uniform(0.8, 1.0))
+        tallest, z = 0.8, 1.2
+    host = room.at_wall(item)
+    if host is not None:
+        size = draws.uniform(0.45, 0.7), draws.uniform(0.6, tallest)
+        room.over(fittings.mirror(style, draws, *size), host, z)
+        if kind < 0.5:
+            lamp_on(room, host, 0.3)
     coats = room.hang(storage.coat_rail(style, draws, draws.uniform(0.8, 1.3)), 1.6)
     if coats is not None and draws.chance(0.7):
         wall = room.wall_of(coats)
@@ -275,9 +250,8 @@ def hallway(room: Furnisher) -> None:
         room.at_wall(storage.basket(style, draws))
     fill(room, ("chest", "basket", "shoes", "pouf", "bookcase"), 2, 5)
     decorate(room, rug=0.7)
-    ceiling_light(
-        room, ("disc", "globe", "spots", "pendant"), many=max(room.shell.width, room.shell.depth) > 4
-    )
+    is_long = max(room.shell.width, room.shell.depth) > 4
+    ceiling_light(room, ("disc", "globe", "spots", "pendant"), many=is_long)
 
 
 def bedsit(room: Furnisher) -> None:

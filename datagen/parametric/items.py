@@ -141,6 +141,11 @@ class Placed:
         matrix[:3, 3] = self.at
         return matrix
 
+    def point(self, x: float, y: float, z: float = 0.0) -> Point:
+        """Return the position in the room of a point of the item's frame."""
+        at = self.room_from_item @ np.array([x, y, z, 1.0])
+        return (float(at[0]), float(at[1]), float(at[2]))
+
     def boxes(self) -> Floats:
         """Return the bounding boxes (k, 2, 3) of the item's shapes, in the room's frame."""
         matrix = self.room_from_item

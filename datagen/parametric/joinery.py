@@ -7,7 +7,7 @@ import math
 
 from datagen.foundation.random import Draws
 from datagen.parametric.items import Item, Style
-from datagen.parametric.shapes import box, cylinder, lathe, tube
+from datagen.parametric.shapes import Point, box, cylinder, lathe, tube
 from datagen.parametric.slots import BOOKS
 
 GAP = 0.0035  # gap between neighbouring fronts
@@ -18,7 +18,7 @@ def front(
     item: Item,
     style: Style,
     size: tuple[float, float],
-    at: tuple[float, float, float],
+    at: Point,
     *,
     slot: str = "front",
     handle: str = "middle",
@@ -43,12 +43,7 @@ def front(
 
 
 def _handle(
-    item: Item,
-    style: Style,
-    size: tuple[float, float],
-    at: tuple[float, float, float],
-    where: str,
-    is_drawer: bool,
+    item: Item, style: Style, size: tuple[float, float], at: Point, where: str, is_drawer: bool
 ) -> None:
     w, h = size
     x, y, z = at
@@ -66,38 +61,27 @@ def _handle(
         is_level = is_drawer or where == "middle"
         length = min(0.16 if is_level else 0.18, 0.55 * w if is_drawer else 0.5 * h)
         ends = (-length / 2, length / 2)
-        if is_level:
-            item.add(
-                "metal",
-                tube(
-                    [(x + dx + e, y - 0.028, level) for e in (ends[0] - 0.012, 0.0, ends[1] + 0.012)], 0.0055
-                ),
-            )
-            feet = [(x + dx + e, y - 0.014, level) for e in ends]
-        else:
-            item.add(
-                "metal",
-                tube(
-                    [(x + dx, y - 0.028, level + e) for e in (ends[0] - 0.012, 0.0, ends[1] + 0.012)], 0.0055
-                ),
-            )
-            feet = [(x + dx, y - 0.014, level + e) for e in ends]
-        for fx, _, fz in feet:
-            item.add("metal", tube([(fx, y + 0.001, fz), (fx, y - 0.026, fz)], 0.0042, 6))
+
+        def place(along: float, dy: float) -> Point:
+            return (x + dx + along, y + dy, level) if is_level else (x + dx, y + dy, level + along)
+
+        bar = [place(along, -0.028) for along in (ends[0] - 0.012, 0.0, ends[1] + 0.012)]
+        item.add("metal", tube(bar, 0.0055))
+        for end in ends:
+            item.add("metal", tube([place(end, 0.001), place(end, -0.026)], 0.0042, 6))
     else:
-        width = min(0.5 * w, 0.14)
-        top = z + h if (is_drawer or h < 1.2) else level
         if is_drawer or h < 1.2:
-            item.add("metal", box((width, 0.022, 0.003), (x, y - 0.006, top + 0.0002), 0.001))
+            size_of_grip = (min(0.5 * w, 0.14), 0.022, 0.003)
+            item.add("metal", box(size_of_grip, (x, y - 0.006, z + h + 0.0002), 0.001))
         else:
-            item.add("metal", box((0.012, 0.022, 0.16), (x + (dx or 0.3 * w), y - 0.01, top), 0.002))
+            item.add("metal", box((0.012, 0.022, 0.16), (x + (dx or 0.3 * w), y - 0.01, level), 0.002))
 
 
 def fronts(
     item: Item,
     style: Style,
     width: float,
-    at: tuple[float, float, float],
+    at: Point,
     rows: list[tuple[str, float]],
     columns: int = 1,
     slot: str = "front",
@@ -111,16 +95,9 @@ def fronts(
     for kind, height in rows:
         for k in range(columns):
             x = at[0] - width / 2 + (k + 0.5) * each
-            where = "middle" if kind == "drawer" else ("right" if k % 2 == 0 and columns > 1 else "left")
-            front(
-                item,
-                style,
-                (each, height),
-                (x, at[1], z),
-                slot=slot,
-                handle=where,
-                is_drawer=kind == "drawer",
-            )
+            is_drawer = kind == "drawer"
+            where = "middle" if is_drawer else ("right" if k % 2 == 0 and columns > 1 else "left")
+            front(item, style, (each, height), (x, at[1], z), slot=slot, handle=where, is_drawer=is_drawer)
         z += height
 
 
@@ -138,13 +115,14 @@ def legs(
     for x in (x0 + t / 2, x1 - t / 2):
         for y in (y0 + t / 2, y1 - t / 2):
             if style.legs == "square":
-                item.add(slot or style.leg_slot, box((t, t, height), (x, y, 0), 0.004, grain=2))
+                leg = box((t, t, height), (x, y, 0), 0.004, grain=2)
             elif style.legs == "metal":
-                item.add(slot or style.leg_slot, box((0.7 * t, 0.7 * t, height), (x, y, 0), 0.003, grain=2))
+                leg = box((0.7 * t, 0.7 * t, height), (x, y, 0), 0.003, grain=2)
             else:
                 low = 0.3 * t if style.legs == "tapered" else 0.42 * t
                 profile = [(0, 0), (low, 0), (low + 0.001, 0.004), (0.5 * t, height), (0, height)]
-                item.add(slot or style.leg_slot, lathe(profile, (x, y, 0), 12))
+                leg = lathe(profile, (x, y, 0), 12)
+            item.add(slot or style.leg_slot, leg)
 
 
 def books(item: Item, draws: Draws, x0: float, x1: float, y: float, z: float, height: float) -> float:
@@ -152,11 +130,8 @@ def books(item: Item, draws: Draws, x0: float, x1: float, y: float, z: float, he
     x = x0
     slots = draws.shuffled(BOOKS)[: draws.integer(3, 6)]
     while True:
-        w, h, d = (
-            draws.uniform(0.016, 0.046),
-            draws.uniform(0.62, 0.93) * min(height, 0.33),
-            draws.uniform(0.13, 0.19),
-        )
+        w, h = draws.uniform(0.016, 0.046), draws.uniform(0.62, 0.93) * min(height, 0.33)
+        d = draws.uniform(0.13, 0.19)
         if x + w > x1:
             return x
         middle = x + w / 2
@@ -166,17 +141,12 @@ def books(item: Item, draws: Draws, x0: float, x1: float, y: float, z: float, he
         x += w
 
 
-def castor(item: Item, x: float, y: float, radius: float = 0.026) -> None:
-    wheel = cylinder(radius, 0.02, bevel=0.004, segments=14).turned("x", 90).moved(x, y + 0.01, radius)
-    item.add("dark", wheel)
+def castor(item: Item, x: float, y: float) -> None:
+    wheel = cylinder(0.026, 0.02, bevel=0.004, segments=14).turned("x", 90)
+    item.add("dark", wheel.moved(x, y + 0.01, 0.026))
 
 
 def ring_of(count: int, radius: float, start: float = 0.0) -> list[tuple[float, float]]:
     """Return ``count`` points (x, y) at equal angles on a circle, the first at ``start`` radians."""
-    return [
-        (
-            radius * math.cos(start + 2 * math.pi * k / count),
-            radius * math.sin(start + 2 * math.pi * k / count),
-        )
-        for k in range(count)
-    ]
+    angles = [start + 2 * math.pi * k / count for k in range(count)]
+    return [(radius * math.cos(angle), radius * math.sin(angle)) for angle in angles]

@@ -13,7 +13,7 @@ import numpy as np
 
 from datagen.foundation.random import Draws
 from datagen.parametric.items import Item, Lamp, LampPlace
-from datagen.parametric.shapes import ball, box, cylinder, lathe, rounded_box, tube
+from datagen.parametric.shapes import Point, ball, box, cylinder, lathe, rounded_box, tube
 
 _WARM = (2500.0, 3100.0)  # incandescent, halogen and warm LED
 _COOL = (3500.0, 5000.0)  # offices and workshops
@@ -24,16 +24,12 @@ _TRANSMITTED = 0.7
 """Share of a bulb's flux that leaves a translucent shade."""
 
 
-def _bulb(
-    item: Item, slot: str, at: tuple[float, float, float], kelvin: float, lumen: float, radius: float
-) -> None:
+def _bulb(item: Item, slot: str, at: Point, kelvin: float, lumen: float, radius: float) -> None:
     item.add(slot, ball(radius, (at[0], at[1], at[2] - radius), 12))
     item.lamps.append(Lamp(slot, kelvin, lumen, 4 * math.pi * radius**2))
 
 
-def _shade(
-    item: Item, slot: str, at: tuple[float, float, float], low: float, high: float, height: float
-) -> None:
+def _shade(item: Item, slot: str, at: Point, low: float, high: float, height: float) -> None:
     """Add an open shade with its lower rim at ``at`` and radii ``low`` (bottom) and ``high`` (top)."""
     t = _THIN
     profile = [(low, 0), (high, height), (high - t, height), (low - t, 0), (low, 0)]
@@ -44,8 +40,8 @@ def _shaded(
     item: Item,
     draws: Draws,
     slot: str,
-    shade: tuple[tuple[float, float, float], float, float, float],
-    bulb: tuple[tuple[float, float, float], float],
+    shade: tuple[Point, float, float, float],
+    bulb: tuple[Point, float],
     kelvin: float,
     lumen: float,
 ) -> None:
@@ -58,6 +54,13 @@ def _shaded(
     _shade(item, slot, *shade)
     both_sides = 2 * math.pi * (low + high) * math.hypot(low - high, height)
     item.lamps.append(Lamp(slot, kelvin, _TRANSMITTED * lumen, both_sides))
+
+
+def _wires(item: Item, y: float, top: float, low: float, reach: float, radius: float) -> None:
+    """Add three wires from a pole at (0, y), ``top`` metres high, to a shade ``reach`` metres away."""
+    for angle in (0.3, 2.4, 4.5):
+        end = (reach * math.cos(angle), y + reach * math.sin(angle), low)
+        item.add("metal", tube([(0, y, top), end], radius, 4))
 
 
 def ceiling_disc(draws: Draws, slot: str) -> Item:
@@ -104,10 +107,10 @@ def pendant(draws: Draws, slot: str, drop: float, is_globe: bool = False) -> Ite
     return item
 
 
-def panel(draws: Draws, slot: str, length: float = 1.2) -> Item:
-    """Make a flat office ceiling luminaire ``length`` metres long."""
+def panel(draws: Draws, slot: str) -> Item:
+    """Make a flat office ceiling luminaire."""
     item = Item("panel_lamp", hold="ceiling")
-    w = draws.uniform(0.25, 0.6)
+    length, w = 1.2, draws.uniform(0.25, 0.6)
     item.add("metal", box((length + 0.03, w + 0.03, 0.055), (0, 0, -0.055), 0.004))
     item.add(slot, box((length, w, 0.006), (0, 0, -0.0605), 0.001))
     item.lamps.append(Lamp(slot, draws.uniform(*_COOL), draws.uniform(3000, 4500), length * w))
@@ -115,33 +118,30 @@ def panel(draws: Draws, slot: str, length: float = 1.2) -> Item:
     return item
 
 
-def batten(draws: Draws, slot: str, length: float = 1.5) -> Item:
-    """Make a fluorescent tube on a ceiling batten ``length`` metres long."""
-    item = Item("batten_lamp", hold="ceiling")
+def batten(draws: Draws, slot: str) -> Item:
+    """Make a fluorescent tube on a ceiling batten."""
+    item, length = Item("batten_lamp", hold="ceiling"), 1.5
     item.add("radiator", box((length, 0.07, 0.05), (0, 0, -0.05), 0.006))
-    item.add("radiator", box((0.03, 0.05, 0.05), (-length / 2 + 0.02, 0, -0.098), 0.004))
-    item.add("radiator", box((0.03, 0.05, 0.05), (length / 2 - 0.02, 0, -0.098), 0.004))
+    for x in (-length / 2 + 0.02, length / 2 - 0.02):
+        item.add("radiator", box((0.03, 0.05, 0.05), (x, 0, -0.098), 0.004))
     item.add(slot, tube([(-length / 2 + 0.036, 0, -0.078), (length / 2 - 0.036, 0, -0.078)], 0.014, 12))
     item.places.append(LampPlace((0, 0, -0.1), (0.9 * length, 0.06)))
-    item.lamps.append(
-        Lamp(slot, draws.uniform(*_COOL), draws.uniform(2800, 4200), 2 * math.pi * 0.014 * length)
-    )
+    area = 2 * math.pi * 0.014 * length
+    item.lamps.append(Lamp(slot, draws.uniform(*_COOL), draws.uniform(2800, 4200), area))
     return item
 
 
-def spots(draws: Draws, slot: str, length: float = 1.2) -> Item:
-    """Make a ceiling rail ``length`` metres long with three or four spotlights."""
-    item = Item("spots", hold="ceiling")
+def spots(draws: Draws, slot: str) -> Item:
+    """Make a ceiling rail with three or four spotlights."""
+    item, length = Item("spots", hold="ceiling"), 1.2
     item.add("metal", box((length, 0.034, 0.03), (0, 0, -0.03), 0.004))
     count = draws.integer(3, 4)
     for k in range(count):
         x = -length / 2 + (k + 0.5) * length / count
         item.add("metal", tube([(x, 0, -0.028), (x, 0, -0.075)], 0.008, 8))
         tilt, turn = draws.uniform(10, 40), draws.uniform(0, 360)
-        body = lathe(
-            [(0.02, 0.1), (0.032, 0.09), (0.034, 0.0), (0.031, 0.0), (0.029, 0.02), (0, 0.02)][::-1],
-            segments=18,
-        )
+        profile = [(0, 0.02), (0.029, 0.02), (0.031, 0.0), (0.034, 0.0), (0.032, 0.09), (0.02, 0.1)]
+        body = lathe(profile, segments=18)
         glass = cylinder(0.0285, 0.004, (0, 0, 0.012), 16, 0.0005)
         for name, shape in (("metal", body), (slot, glass)):
             item.add(name, shape.moved(0, 0, -0.09).turned("x", tilt).turned("z", turn).moved(x, 0, -0.08))
@@ -155,36 +155,16 @@ def floor_lamp(draws: Draws, slot: str) -> Item:
     """Make a floor lamp of a foot, a pole and a shade."""
     item = Item("floor_lamp")
     c, h = -0.22, draws.uniform(1.45, 1.65)
-    item.add(
-        "metal",
-        lathe([(0, 0), (0.14, 0), (0.14, 0.012), (0.132, 0.02), (0.02, 0.03), (0, 0.03)], (0, c, 0), 28),
-    )
+    foot = [(0, 0), (0.14, 0), (0.14, 0.012), (0.132, 0.02), (0.02, 0.03), (0, 0.03)]
+    item.add("metal", lathe(foot, (0, c, 0), 28))
     if draws.chance(0.3):
         for k in range(3):
-            angle = 2 * math.pi * k / 3 + 0.5
-            item.add(
-                "wood",
-                tube(
-                    [
-                        (0.2 * math.cos(angle), c + 0.2 * math.sin(angle), 0.002),
-                        (0.015 * math.cos(angle), c + 0.015 * math.sin(angle), h - 0.24),
-                    ],
-                    0.013,
-                    8,
-                ),
-            )
+            dx, dy = math.cos(2 * math.pi * k / 3 + 0.5), math.sin(2 * math.pi * k / 3 + 0.5)
+            leg = [(0.2 * dx, c + 0.2 * dy, 0.002), (0.015 * dx, c + 0.015 * dy, h - 0.24)]
+            item.add("wood", tube(leg, 0.013, 8))
     item.add("metal", tube([(0, c, 0.02), (0, c, h - 0.14)], 0.011, 10))
     low, high = draws.uniform(0.17, 0.21), draws.uniform(0.12, 0.17)
-    for angle in (0.3, 2.4, 4.5):
-        reach = low - 0.004
-        item.add(
-            "metal",
-            tube(
-                [(0, c, h - 0.25), (reach * math.cos(angle), c + reach * math.sin(angle), h - 0.279)],
-                0.0022,
-                4,
-            ),
-        )
+    _wires(item, c, h - 0.25, h - 0.279, low - 0.004, 0.0022)
     kelvin, lumen = draws.uniform(*_WARM), draws.uniform(500, 900)
     _shaded(item, draws, slot, ((0, c, h - 0.28), low, high, 0.28), ((0, c, h - 0.11), 0.03), kelvin, lumen)
     item.places.append(LampPlace((0, c, h - 0.04)))
@@ -197,38 +177,15 @@ def table_lamp(draws: Draws, slot: str) -> Item:
     h, c = draws.uniform(0.36, 0.5), -0.14
     if draws.chance(0.6):
         r = draws.uniform(0.05, 0.085)
-        body = [
-            (0, 0),
-            (0.75 * r, 0),
-            (0.8 * r, 0.006),
-            (r, 0.3 * h),
-            (0.75 * r, 0.45 * h),
-            (0.2 * r, 0.52 * h),
-            (0.012, 0.54 * h),
-            (0, 0.54 * h),
-        ]
-        item.add("pot", lathe(body, (0, c, 0), 28))
+        belly = [(0, 0), (0.75 * r, 0), (0.8 * r, 0.006), (r, 0.3 * h), (0.75 * r, 0.45 * h)]
+        neck = [(0.2 * r, 0.52 * h), (0.012, 0.54 * h), (0, 0.54 * h)]
+        item.add("pot", lathe([*belly, *neck], (0, c, 0), 28))
     else:
-        item.add(
-            "metal",
-            lathe(
-                [(0, 0), (0.075, 0), (0.075, 0.012), (0.01, 0.018), (0.009, 0.54 * h), (0, 0.54 * h)],
-                (0, c, 0),
-                28,
-            ),
-        )
+        body = [(0, 0), (0.075, 0), (0.075, 0.012), (0.01, 0.018), (0.009, 0.54 * h), (0, 0.54 * h)]
+        item.add("metal", lathe(body, (0, c, 0), 28))
     item.add("metal", tube([(0, c, 0.53 * h), (0, c, 0.7 * h)], 0.006, 8))
     low, high = draws.uniform(0.1, 0.135), draws.uniform(0.07, 0.1)
-    for angle in (0.3, 2.4, 4.5):
-        reach = low - 0.003
-        item.add(
-            "metal",
-            tube(
-                [(0, c, 0.62 * h), (reach * math.cos(angle), c + reach * math.sin(angle), 0.581 * h)],
-                0.0018,
-                4,
-            ),
-        )
+    _wires(item, c, 0.62 * h, 0.581 * h, low - 0.003, 0.0018)
     kelvin, lumen = draws.uniform(*_WARM), draws.uniform(250, 500)
     shade = ((0, c, 0.58 * h), low, high, 0.42 * h)
     _shaded(item, draws, slot, shade, ((0, c, 0.78 * h), 0.024), kelvin, lumen)

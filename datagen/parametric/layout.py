@@ -19,7 +19,7 @@ import numpy as np
 from datagen.foundation.random import Draws
 from datagen.parametric.checks import front_zone, meets, overlap, reaches, walkable
 from datagen.parametric.items import Item, Placed, Style, hull_of
-from datagen.parametric.shapes import Floats, rotation
+from datagen.parametric.shapes import Floats, Point, rotation
 from datagen.parametric.shell import CASING_M, WALLS, Shell, Wall, Window, swing
 
 OFF_WALL_M = 0.03  # gap behind furniture, which leaves space for the skirting
@@ -54,14 +54,8 @@ class Furnisher:
             sector = swing(self.shell, door)
             low, high = sector.min(axis=0), sector.max(axis=0)
             self.zones.append((f"door {k}", np.array([[*low, 0.0], [*high, door.height]])))
-            self._keep_clear(
-                f"door {k} frame",
-                door.wall,
-                door.s,
-                door.width / 2 + CASING_M,
-                0.045,
-                (0.0, door.height + CASING_M),
-            )
+            half, levels = door.width / 2 + CASING_M, (0.0, door.height + CASING_M)
+            self._keep_clear(f"door {k} frame", door.wall, door.s, half, 0.045, levels)
         for k, window in enumerate(self.shell.windows):
             low_m = (window.sill - 0.035, window.sill + 0.02)
             self._keep_clear(f"window {k} sill", window.wall, window.s, window.width / 2 + 0.07, 0.08, low_m)
@@ -93,7 +87,7 @@ class Furnisher:
         """Add the boxes of a built-in item to the spaces that must remain free."""
         self.zones += [(built.name, box) for box in built.boxes()]
 
-    def take(self, item: Item, at: tuple[float, float, float], yaw: float, stands_on: str = "") -> Placed:
+    def take(self, item: Item, at: Point, yaw: float, stands_on: str = "") -> Placed:
         """Place an item without checking its position; :func:`faults_of` checks it later."""
         number = self._names[item.name]
         self._names[item.name] += 1
@@ -109,7 +103,7 @@ class Furnisher:
     def offer(
         self,
         item: Item,
-        at: tuple[float, float, float],
+        at: Point,
         yaw: float,
         *,
         near: Sequence[Placed] = (),
@@ -231,16 +225,14 @@ class Furnisher:
         """Place an item ``gap`` metres to a host's left or right, seen from the front, at the same wall."""
         h, b = host.item.bounds, item.bounds
         x = h[0, 0] - gap - b[1, 0] if side == "left" else h[1, 0] + gap - b[0, 0]
-        at = host.room_from_item @ np.array([x, 0.0, 0.0, 1.0])
-        return self.offer(item, (float(at[0]), float(at[1]), 0.0), host.yaw_rad)
+        return self.offer(item, host.point(x, 0.0), host.yaw_rad)
 
     def before(self, item: Item, host: Placed, gap: float, turned: bool = False) -> Placed | None:
         """Place an item ``gap`` metres in front of a host; if ``turned``, it faces the host."""
         h, b = host.item.bounds, item.bounds
         y = h[0, 1] - gap - (b[1, 1] if not turned else -b[0, 1])
-        at = host.room_from_item @ np.array([0.5 * (h[0, 0] + h[1, 0]), y, 0.0, 1.0])
         yaw = host.yaw_rad + (math.pi if turned else 0.0)
-        return self.offer(item, (float(at[0]), float(at[1]), 0.0), yaw, ignores=(host.name,))
+        return self.offer(item, host.point(0.5 * (h[0, 0] + h[1, 0]), y), yaw, ignores=(host.name,))
 
     def seat(self, chair: Item, table: Placed, side: Side, offset: float, tuck: float) -> Placed | None:
         """Place a chair at a table's side, about ``offset`` metres from the middle and ``tuck`` under it."""
@@ -254,10 +246,10 @@ class Furnisher:
         shift = offset + self.draws.uniform(-0.02, 0.02)
         tuck = tuck + self.draws.uniform(-0.06, 0.03)
         place = middle + outward * (edge + depth - tuck) + along * shift
-        at = table.room_from_item @ np.array([*place, 0.0, 1.0])
+        x, y, _ = table.point(*place)
         turn = math.radians(self.draws.uniform(-7, 7))
         return self.offer(
-            chair, (float(at[0]), float(at[1]), table.at[2]), table.yaw_rad + angle + turn,
+            chair, (x, y, table.at[2]), table.yaw_rad + angle + turn,
             near=(table,), ignores=(table.name,), stands_on=table.stands_on,
         )  # fmt: skip
 
@@ -269,14 +261,8 @@ class Furnisher:
         """
         support = host.item.supports[0]
         back = support.middle[1] + support.size[1] / 2 - y
-        at = host.room_from_item @ np.array([support.middle[0] + x, back, support.z, 1.0])
-        return self.offer(
-            item,
-            (float(at[0]), float(at[1]), float(at[2])),
-            host.yaw_rad,
-            near=(host,),
-            stands_on=host.name,
-        )
+        at = host.point(support.middle[0] + x, back, support.z)
+        return self.offer(item, at, host.yaw_rad, near=(host,), stands_on=host.name)
 
     def hang(
         self,
@@ -331,9 +317,9 @@ class Furnisher:
         wall = self.wall_of(host)
         if wall is None:
             return None
-        middle = host.room_from_item @ np.array([float(host.item.bounds[:, 0].mean()), 0.0, 0.0, 1.0])
+        middle = host.point(float(host.item.bounds[:, 0].mean()), 0.0)
         along = rotation("z", self.shell.yaw(wall))[:, 0]
-        return self.hang(item, z, [wall], float(middle[:3] @ along), 0.02)
+        return self.hang(item, z, [wall], float(np.array(middle) @ along), 0.02)
 
     def wall_of(self, host: Placed) -> Wall | None:
         """Return the wall at an item's back; None for a free-standing item."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from datagen.formats.asset import SupportKind
 from datagen.foundation.random import Draws
 from datagen.parametric.items import Item, Style
 from datagen.parametric.seating import castor
@@ -15,15 +16,9 @@ def pedal_bin(style: Style, draws: Draws) -> Item:
     r, h = draws.uniform(0.12, 0.16), draws.uniform(0.38, 0.66)
     c = -r - 0.01
     body = [(0, 0), (r - 0.003, 0), (r, 0.004), (r, h), (0, h)]
-    lid = [
-        (0, h - 0.0005),
-        (r + 0.003, h - 0.0005),
-        (r + 0.003, h + 0.022),
-        (0.7 * r, h + 0.05),
-        (0, h + 0.06),
-    ]
+    lid = [(0, -0.0005), (r + 0.003, -0.0005), (r + 0.003, 0.022), (0.7 * r, 0.05), (0, 0.06)]
     item.add("steel", lathe(body, (0, c, 0), 40))
-    item.add("metal", lathe(lid, (0, c, 0), 40))
+    item.add("metal", lathe([(x, h + z) for x, z in lid], (0, c, 0), 40))
     item.add("dark", box((0.07, 0.06, 0.012), (0, c - r - 0.02, 0.006), 0.003))
     return item
 
@@ -45,9 +40,8 @@ def trolley(style: Style, draws: Draws) -> Item:
         for y in (-0.045, -d + 0.025):
             item.add("steel", box((w - 0.06, 0.004, 0.04), (0, y, z + 0.011), 0.0, grain=0))
         free = (h - 0.17) / (count - 1) - 0.04 if k < count - 1 else 0.6
-        item.support(
-            "shelf" if k < count - 1 else "table", (0, -d / 2 - 0.01), (w - 0.1, d - 0.12), z + 0.012, free
-        )
+        kind: SupportKind = "shelf" if k < count - 1 else "table"
+        item.support(kind, (0, -d / 2 - 0.01), (w - 0.1, d - 0.12), z + 0.012, free)
     return item
 
 

@@ -16,38 +16,28 @@ def bathtub(style: Style, draws: Draws) -> Item:
     """Make a bath with a panel and a tap, with its long side at the wall."""
     item = Item("bathtub", front_m=0.55)
     w, d, h = draws.uniform(1.6, 1.8), draws.uniform(0.72, 0.8), 0.56
+    c = -d / 2
     rings = [
-        rounded_ring(w, d, 0.03, h - 0.05, (0, -d / 2)),
-        rounded_ring(w, d, 0.03, h - 0.012, (0, -d / 2)),
-        rounded_ring(w - 0.02, d - 0.02, 0.03, h, (0, -d / 2)),
-        rounded_ring(w - 0.16, d - 0.14, 0.16, h, (0, -d / 2)),
-        rounded_ring(w - 0.19, d - 0.17, 0.16, h - 0.02, (0, -d / 2)),
-        rounded_ring(w - 0.26, d - 0.22, 0.15, h - 0.25, (0, -d / 2)),
-        rounded_ring(w - 0.42, d - 0.3, 0.14, h - 0.4, (0, -d / 2)),
-        rounded_ring(w - 0.7, d - 0.44, 0.1, h - 0.42, (0, -d / 2)),
+        rounded_ring(w, d, 0.03, h - 0.05, (0, c)),
+        rounded_ring(w, d, 0.03, h - 0.012, (0, c)),
+        rounded_ring(w - 0.02, d - 0.02, 0.03, h, (0, c)),
+        rounded_ring(w - 0.16, d - 0.14, 0.16, h, (0, c)),
+        rounded_ring(w - 0.19, d - 0.17, 0.16, h - 0.02, (0, c)),
+        rounded_ring(w - 0.26, d - 0.22, 0.15, h - 0.25, (0, c)),
+        rounded_ring(w - 0.42, d - 0.3, 0.14, h - 0.4, (0, c)),
+        rounded_ring(w - 0.7, d - 0.44, 0.1, h - 0.42, (0, c)),
     ]
     item.add("sanitary", loft(np.array(rings), (False, True)))
     slot = draws.choice(("sanitary", "wall_tiles", "wood"))
-    item.add(slot, box((w - 0.012, d - 0.012, h - 0.452), (0, -d / 2, 0), 0.002, grain=0))
-    rim = [rounded_ring(w - 0.012, d - 0.012, 0.012, z, (0, -d / 2)) for z in (h - 0.453, h - 0.045)]
+    item.add(slot, box((w - 0.012, d - 0.012, h - 0.452), (0, c, 0), 0.002, grain=0))
+    rim = [rounded_ring(w - 0.012, d - 0.012, 0.012, z, (0, c)) for z in (h - 0.453, h - 0.045)]
     item.add(slot, loft(np.array(rim)))
     x = draws.choice((-1, 1)) * (w / 2 - 0.035)
-    item.add("metal", cylinder(0.024, 0.05, (x, -d / 2, h - 0.001), 14))
-    item.add(
-        "metal",
-        tube(
-            [
-                (x, -d / 2, h + 0.03),
-                (x, -d / 2, h + 0.11),
-                (x * 0.96, -d / 2, h + 0.15),
-                (x * 0.83, -d / 2, h + 0.14),
-            ],
-            0.013,
-            10,
-        ),
-    )
+    item.add("metal", cylinder(0.024, 0.05, (x, c, h - 0.001), 14))
+    spout = [(x, c, h + 0.03), (x, c, h + 0.11), (x * 0.96, c, h + 0.15), (x * 0.83, c, h + 0.14)]
+    item.add("metal", tube(spout, 0.013, 10))
     for dy in (-0.07, 0.07):
-        item.add("metal", cylinder(0.02, 0.06, (x, -d / 2 + dy, h - 0.001), 14, 0.005))
+        item.add("metal", cylinder(0.02, 0.06, (x, c + dy, h - 0.001), 14, 0.005))
     item.support("sill", (0, -0.035), (w - 0.5, 0.06), h, 0.5)
     return item
 
@@ -67,14 +57,8 @@ def vanity(style: Style, draws: Draws, width: float) -> Item:
     item.add("wood", box((width, d - 0.02, h - foot - 0.03), (0, -d / 2 + 0.01, foot), 0.002))
     rows = [("drawer", 0.3), ("drawer", 0.26)] if draws.chance(0.5) else [("door", 0.55)]
     scale = (h - foot - 0.034) / sum(height for _, height in rows)
-    fronts(
-        item,
-        style,
-        width - 0.004,
-        (0, -d + 0.02, foot + 0.002),
-        [(k, v * scale) for k, v in rows],
-        2 if width > 0.75 else 1,
-    )
+    scaled = [(k, v * scale) for k, v in rows]
+    fronts(item, style, width - 0.004, (0, -d + 0.02, foot + 0.002), scaled, 2 if width > 0.75 else 1)
     kind = draws.choice(("bowl", "slab"))
     if kind == "slab":
         rings = [
@@ -88,7 +72,6 @@ def vanity(style: Style, draws: Draws, width: float) -> Item:
         ]
         item.add("sanitary", loft(np.array(rings), (True, True)))
         tap(item, 0, -0.055, h + 0.03, 0.13, 0.19)
-        top = h + 0.03
     else:
         item.add("worktop", box((width + 0.01, d, 0.03), (0, -d / 2, h - 0.03), 0.003, grain=0))
         r = 0.19
@@ -106,9 +89,8 @@ def vanity(style: Style, draws: Draws, width: float) -> Item:
         x = 0.0 if width < 0.9 else draws.choice((-1, 1)) * (width / 2 - 0.32)
         item.add("sanitary", lathe([(0, 0), *bowl], (x, -d / 2 - 0.02, h), 36))
         tap(item, x, -0.04, h, 0.15, 0.3)
-        top = h
         if x:
-            item.support("counter", (-0.28 * np.sign(x) * width, -d / 2), (width - 0.7, d - 0.12), top, 0.5)
+            item.support("counter", (-0.28 * np.sign(x) * width, -d / 2), (width - 0.7, d - 0.12), h, 0.5)
     return item
 
 

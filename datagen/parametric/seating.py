@@ -13,9 +13,9 @@ from datagen.parametric.joinery import castor, legs, ring_of
 from datagen.parametric.shapes import Shape, box, cylinder, flipped, grid, joined, lathe, rounded_box, tube
 
 
-def chair(style: Style, draws: Draws, seat_height: float = 0.46) -> Item:
-    """Make a chair with a back of slats, a board or upholstery; the seat is ``seat_height`` metres high."""
-    item = Item("chair")
+def chair(style: Style, draws: Draws) -> Item:
+    """Make a chair with a back of slats, a board or upholstery."""
+    item, seat_height = Item("chair"), 0.46
     w, d = draws.uniform(0.42, 0.48), draws.uniform(0.44, 0.5)
     back = draws.choice(("slats", "board", "soft"))
     top = draws.uniform(0.8, 0.92)
@@ -23,30 +23,18 @@ def chair(style: Style, draws: Draws, seat_height: float = 0.46) -> Item:
     legs(item, style, (-w / 2, w / 2, -d, -d + 0.04), seat_height - 0.03, 0.038, frame)
     for side in (-1, 1):
         x = side * (w / 2 - 0.019)
-        path = [
-            (x, -0.05, 0.0),
-            (x, -0.045, 0.25),
-            (x, -0.05, seat_height),
-            (x, -0.03, 0.65),
-            (x, -0.018, top),
-        ]
-        item.add(frame, tube(path, 0.0165, 10))
+        path = ((-0.05, 0.0), (-0.045, 0.25), (-0.05, seat_height), (-0.03, 0.65), (-0.018, top))
+        item.add(frame, tube([(x, y, z) for y, z in path], 0.0165, 10))
     for y in (-d + 0.02, -0.055):
         item.add(frame, box((w - 0.04, 0.02, 0.05), (0, y, seat_height - 0.08), 0.003, grain=0))
     for side in (-1, 1):
-        item.add(
-            frame,
-            box((0.02, d - 0.09, 0.045), (side * (w / 2 - 0.02), -d / 2 - 0.015, seat_height - 0.08), 0.003),
-        )
+        at = (side * (w / 2 - 0.02), -d / 2 - 0.015, seat_height - 0.08)
+        item.add(frame, box((0.02, d - 0.09, 0.045), at, 0.003))
+    at = (0, -d / 2 - 0.0275, seat_height - 0.029)
     if back == "soft" or draws.chance(0.5):
-        item.add(
-            "seat",
-            rounded_box((w, d - 0.055, 0.06), 0.022, (0, -d / 2 - 0.0275, seat_height - 0.029), 2, 0.008),
-        )
+        item.add("seat", rounded_box((w, d - 0.055, 0.06), 0.022, at, 2, 0.008))
     else:
-        item.add(
-            "wood", box((w, d - 0.055, 0.022), (0, -d / 2 - 0.0275, seat_height - 0.029), 0.008, grain=0)
-        )
+        item.add("wood", box((w, d - 0.055, 0.022), at, 0.008, grain=0))
     if back == "slats":
         for z in np.linspace(seat_height + 0.13, top - 0.075, 3):
             y = float(np.interp(z, [seat_height, 0.65, top], [-0.05, -0.03, -0.018]))
@@ -54,12 +42,8 @@ def chair(style: Style, draws: Draws, seat_height: float = 0.46) -> Item:
     elif back == "board":
         item.add("wood", box((w - 0.035, 0.016, 0.24), (0, -0.027, top - 0.26), 0.006, grain=0))
     else:
-        item.add(
-            "seat",
-            rounded_box(
-                (w - 0.03, 0.05, top - seat_height - 0.1), 0.02, (0, -0.03, seat_height + 0.1), 2, 0.006
-            ),
-        )
+        size = (w - 0.03, 0.05, top - seat_height - 0.1)
+        item.add("seat", rounded_box(size, 0.02, (0, -0.03, seat_height + 0.1), 2, 0.006))
     return item
 
 
@@ -67,21 +51,12 @@ def stool(style: Style, draws: Draws, height: float = 0.46) -> Item:
     """Make a round stool ``height`` metres high."""
     item = Item("stool")
     r = draws.uniform(0.16, 0.19)
-    seat = [
-        (0, height - 0.035),
-        (r - 0.012, height - 0.035),
-        (r, height - 0.024),
-        (r, height - 0.008),
-        (r - 0.01, height),
-        (0, height - 0.003),
-    ]
-    item.add("wood", lathe(seat, (0, -0.2, 0), 28))
+    seat = [(0, 0.035), (r - 0.012, 0.035), (r, 0.024), (r, 0.008), (r - 0.01, 0), (0, 0.003)]
+    item.add("wood", lathe([(x, height - z) for x, z in seat], (0, -0.2, 0), 28))
     slot = "metal" if style.legs == "metal" else "wood"
     for x, y in ring_of(4, 1.0, math.pi / 4):
-        item.add(
-            slot,
-            tube([(0.17 * x, -0.2 + 0.17 * y, 0.0036), (0.1 * x, -0.2 + 0.1 * y, height - 0.03)], 0.014, 10),
-        )
+        leg = [(0.17 * x, -0.2 + 0.17 * y, 0.0036), (0.1 * x, -0.2 + 0.1 * y, height - 0.03)]
+        item.add(slot, tube(leg, 0.014, 10))
     rest = ring_of(20, 0.15 if height < 0.6 else 0.152)
     path = [(x, -0.2 + y, 0.35 * height) for x, y in [*rest, rest[0]]]
     item.add(slot, tube(path, 0.008, 6))
@@ -93,19 +68,16 @@ def office_chair(style: Style, draws: Draws) -> Item:
     item = Item("office_chair")
     c = -0.33
     for x, y in ring_of(5, 0.27, draws.uniform(0, 1)):
-        item.add(
-            style.leg_slot, tube([(0.03 * x / 0.27, c + 0.03 * y / 0.27, 0.09), (x, c + y, 0.06)], 0.016, 8)
-        )
+        foot = [(0.03 * x / 0.27, c + 0.03 * y / 0.27, 0.09), (x, c + y, 0.06)]
+        item.add(style.leg_slot, tube(foot, 0.016, 8))
         castor(item, x, c + y)
     item.add("metal", cylinder(0.024, 0.33, (0, c, 0.08), 14))
     item.add("machine", cylinder(0.035, 0.12, (0, c, 0.1), 16, 0.004))
     item.add("machine", box((0.24, 0.26, 0.035), (0, c, 0.4), 0.01))
     item.add("seat", rounded_box((0.49, 0.47, 0.075), 0.035, (0, c - 0.01, 0.433), 2, 0.012))
     tall = draws.uniform(0.42, 0.62)
-    item.add(
-        "machine",
-        tube([(0, c + 0.1, 0.415), (0, c + 0.25, 0.43), (0, c + 0.295, 0.55), (0, c + 0.3, 0.8)], 0.019, 8),
-    )
+    spine = ((0.1, 0.415), (0.25, 0.43), (0.295, 0.55), (0.3, 0.8))
+    item.add("machine", tube([(0, c + y, z) for y, z in spine], 0.019, 8))
     item.add("seat", rounded_box((0.44, 0.06, tall), 0.028, (0, c + 0.263, 0.58), 2, 0.01))
     if draws.chance(0.7):
         for side in (-1, 1):
@@ -115,48 +87,30 @@ def office_chair(style: Style, draws: Draws) -> Item:
     return item
 
 
-def armchair(style: Style, draws: Draws) -> Item:
-    """Make a sofa with one seat."""
-    return sofa(style, draws, 1)
-
-
 def sofa(style: Style, draws: Draws, seats: int) -> Item:
     """Make an upholstered sofa with ``seats`` seats on short legs, with loose cushions."""
-    item = Item("sofa" if seats > 1 else "armchair")
+    item = Item("sofa" if seats > 1 else "armchair", front_m=0.45)
     arm = draws.uniform(0.12, 0.2) if style.is_soft else draws.uniform(0.09, 0.14)
-    each, d = (
-        (draws.uniform(0.58, 0.68), draws.uniform(0.82, 0.94))
-        if seats > 1
-        else (0.56, draws.uniform(0.76, 0.84))
-    )
+    each = draws.uniform(0.58, 0.68) if seats > 1 else 0.56
+    d = draws.uniform(0.82, 0.94) if seats > 1 else draws.uniform(0.76, 0.84)
     w = seats * each + 2 * arm
-    foot, seat, top, side = (
-        0.11,
-        draws.uniform(0.41, 0.45),
-        draws.uniform(0.76, 0.88),
-        draws.uniform(0.56, 0.64),
-    )
+    foot, seat = 0.11, draws.uniform(0.41, 0.45)
+    top, side = draws.uniform(0.76, 0.88), draws.uniform(0.56, 0.64)
     r = 0.05 if style.is_soft else 0.022
+    leg = [(0, 0), (0.013, 0), (0.022, foot + 0.01), (0, foot + 0.01)]
     for x in (-w / 2 + 0.07, w / 2 - 0.07):
         for y in (-d + 0.07, -0.07):
-            item.add(
-                "legs", lathe([(0, 0), (0.013, 0), (0.022, foot + 0.01), (0, foot + 0.01)], (x, y, 0), 12)
-            )
-    item.add(
-        "sofa",
-        rounded_box((w - 2 * arm + 0.02, d - 0.06, seat - 0.13 - foot), 0.02, (0, -d / 2 - 0.02, foot), 2),
-    )
+            item.add("legs", lathe(leg, (x, y, 0), 12))
+    base = (w - 2 * arm + 0.02, d - 0.06, seat - 0.13 - foot)
+    item.add("sofa", rounded_box(base, 0.02, (0, -d / 2 - 0.02, foot), 2))
     for s in (-1, 1):
         item.add("sofa", rounded_box((arm, d, side - foot), r, (s * (w - arm) / 2, -d / 2, foot), 3))
-    item.add(
-        "sofa", rounded_box((w - 2 * arm + 0.004, 0.2, top - foot - 0.03), r, (0, -0.1, foot + 0.002), 3)
-    )
+    back = (w - 2 * arm + 0.004, 0.2, top - foot - 0.03)
+    item.add("sofa", rounded_box(back, r, (0, -0.1, foot + 0.002), 3))
     for k in range(seats):
         x = -w / 2 + arm + (k + 0.5) * each
-        item.add(
-            "sofa",
-            rounded_box((each - 0.006, d - 0.19, 0.14), 0.045, (x, -d / 2 - 0.1, seat - 0.135), 2, 0.012),
-        )
+        at = (x, -d / 2 - 0.1, seat - 0.135)
+        item.add("sofa", rounded_box((each - 0.006, d - 0.19, 0.14), 0.045, at, 2, 0.012))
         height = top - seat + 0.04
         pillow = rounded_box((each - 0.012, 0.15, height), 0.055, (0, 0, 0), 2, 0.02)
         item.add("sofa", pillow.turned("x", -9).moved(x, -0.235, seat - 0.012))
@@ -167,40 +121,33 @@ def sofa(style: Style, draws: Draws, seats: int) -> Item:
         lowest = float(tilt.points[:, 2].min())
         item.add("cushion_a" if k == 0 else "cushion_b", tilt.moved(x, -0.43, seat + 0.012 - lowest))
     item.support("seat", (0, -d / 2 - 0.16), (w - 2 * arm - 0.08, d - 0.5), seat + 0.012, 0.8)
-    item.front_m = 0.45
     return item
 
 
 def bench(style: Style, draws: Draws, width: float, upholstered: bool) -> Item:
     """Make a bench ``width`` metres long; an upholstered one has a back."""
-    item = Item("bench")
-    d = 0.4 if not upholstered else 0.5
+    item = Item("bench", front_m=0.4)
+    d = 0.5 if upholstered else 0.4
     if upholstered:
         item.add("wood", box((width, d - 0.06, 0.32), (0, -d / 2 + 0.03, 0), 0.004, grain=0))
         count = max(1, round(width / 0.7))
         for k in range(count):
             x = -width / 2 + (k + 0.5) * width / count
-            item.add(
-                "seat",
-                rounded_box(
-                    (width / count - 0.004, d - 0.06, 0.11), 0.03, (x, -d / 2 - 0.03, 0.322), 2, 0.01
-                ),
-            )
-            item.add(
-                "seat", rounded_box((width / count - 0.006, 0.09, 0.4), 0.03, (x, -0.05, 0.45), 2, 0.008)
-            )
+            each = width / count
+            at = (x, -d / 2 - 0.03, 0.322)
+            item.add("seat", rounded_box((each - 0.004, d - 0.06, 0.11), 0.03, at, 2, 0.01))
+            item.add("seat", rounded_box((each - 0.006, 0.09, 0.4), 0.03, (x, -0.05, 0.45), 2, 0.008))
     else:
         legs(item, style, (-width / 2 + 0.03, width / 2 - 0.03, -d + 0.02, -0.02), 0.42, 0.045)
         for k in range(3):
             item.add("wood", box((width, 0.12, 0.028), (0, -0.07 - k * 0.13, 0.42), 0.004, grain=0))
         item.support("seat", (0, -d / 2), (width - 0.1, d - 0.1), 0.448, 0.8)
-    item.front_m = 0.4
     return item
 
 
 def bed(style: Style, draws: Draws, width: float, is_child: bool = False) -> Item:
     """Make a bed with bedding, for a mattress ``width`` metres wide; its head is at y = 0."""
-    item = Item("bed")
+    item = Item("bed", front_m=0.55)
     length = draws.uniform(2.0, 2.08) if not is_child else 1.78
     head = draws.uniform(0.85, 1.15)
     w = width + 0.08
@@ -241,7 +188,6 @@ def bed(style: Style, draws: Draws, width: float, is_child: bool = False) -> Ite
             scatter = rounded_box((0.4, 0.4, 0.11), 0.045, (0, 0, 0), 2, 0.03)
             item.add("cushion_a", scatter.turned("x", 60).moved(x, y0 - 0.57, top + 0.13))
     item.support("bed", (0, y0 - length * 0.72), (width - 0.2, length * 0.4), top + 0.05, 1.2)
-    item.front_m = 0.55
     return item
 
 
@@ -256,9 +202,8 @@ def _duvet(width: float, length: float, z: float, y: float) -> Shape:
     x = np.sign(run) * np.minimum(np.abs(run), half - 0.04 + 0.04 * np.tanh(over / 0.04))
     drop = np.maximum(over - 0.03, 0.0)
     ss, tt = np.meshgrid(s, t)
-    wave = 0.006 * np.sin(7.0 * tt + 3.1 * ss) * np.cos(5.3 * ss + 2.0 * tt) + 0.004 * np.sin(
-        17 * ss + 4 * tt
-    )
+    wave = 0.006 * np.sin(7.0 * tt + 3.1 * ss) * np.cos(5.3 * ss + 2.0 * tt)
+    wave = wave + 0.004 * np.sin(17 * ss + 4 * tt)
     top = np.empty((len(t), len(s), 3))
     top[..., 0] = x[None] + np.where(drop[None] > 0, 0.008 * np.sin(21 * tt + 2.0), 0.0) * np.sign(ss)
     top[..., 1] = y + tt * length

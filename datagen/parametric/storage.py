@@ -33,35 +33,21 @@ def cabinet(
         legs(item, style, (-w / 2 + 0.03, w / 2 - 0.03, -d + 0.04, -0.03), foot + 0.0005, 0.04)
     elif foot > 0:
         item.add(body, box((w - 0.03, d - 0.07, foot + 0.0005), (0, -d / 2 + 0.015, 0), 0.002, grain=0))
-    item.add(
-        body, box((w, d - 0.02, h - foot - 0.02), (0, -d / 2 + 0.01, foot), 0.002, grain=0 if w > h else 2)
-    )
+    grain = 0 if w > h else 2
+    item.add(body, box((w, d - 0.02, h - foot - 0.02), (0, -d / 2 + 0.01, foot), 0.002, grain=grain))
     item.add(body, box((w + 0.01, d + 0.004, 0.02), (0, -d / 2, h - 0.02), 0.003, grain=0))
     scale = (h - foot - 0.026) / sum(height for _, height in rows)
-    fronts(
-        item,
-        style,
-        w - 0.004,
-        (0, -d + 0.02, foot + 0.002),
-        [(k, height * scale) for k, height in rows],
-        columns,
-        face,
-    )
+    scaled = [(k, height * scale) for k, height in rows]
+    fronts(item, style, w - 0.004, (0, -d + 0.02, foot + 0.002), scaled, columns, face)
     return item
 
 
-def chest(style: Style, draws: Draws, width: float, name: str = "chest") -> Item:
+def chest(style: Style, draws: Draws, width: float) -> Item:
     """Make a chest of drawers ``width`` metres wide."""
     h = draws.uniform(0.74, 0.95)
     rows = [("drawer", 0.26), ("drawer", 0.22), ("drawer", 0.2)] + ([("drawer", 0.17)] if h > 0.84 else [])
-    item = cabinet(
-        name,
-        style,
-        (width, draws.uniform(0.42, 0.48), h),
-        rows,
-        1 if width < 0.7 else 2,
-        draws.choice((0.05, 0.13)),
-    )
+    size, columns = (width, draws.uniform(0.42, 0.48), h), 1 if width < 0.7 else 2
+    item = cabinet("chest", style, size, rows, columns, draws.choice((0.05, 0.13)))
     d = -item.bounds[0, 1]
     item.support("table", (0, -d / 2), (width - 0.06, d - 0.1), h)
     return item
@@ -81,9 +67,8 @@ def sideboard(style: Style, draws: Draws, width: float, height: float = 0.78) ->
     """Make a low cabinet of ``width`` by ``height`` metres, with doors or doors and drawers."""
     count = max(2, round(width / 0.5))
     rows = [("door", 0.46), ("drawer", 0.17)] if height > 0.6 and draws.chance(0.6) else [("door", 0.5)]
-    item = cabinet(
-        "sideboard", style, (width, draws.uniform(0.4, 0.47), height), rows, count, draws.choice((0.06, 0.14))
-    )
+    size = (width, draws.uniform(0.4, 0.47), height)
+    item = cabinet("sideboard", style, size, rows, count, draws.choice((0.06, 0.14)))
     d = -item.bounds[0, 1]
     item.support("table", (0, -d / 2), (width - 0.06, d - 0.1), height)
     return item
@@ -132,13 +117,8 @@ def bookcase(
                 stop = left + draws.uniform(0.25, 1.0) * (right - left)
                 left = books(item, draws, left, stop, -0.02 - draws.uniform(0.0, 0.04), z + t, free) + 0.02
             if right - left > 0.12:
-                item.support(
-                    "shelf",
-                    (0.5 * (left + right), -depth / 2 - 0.02),
-                    (right - left, depth - 0.06),
-                    z + t,
-                    free - 0.02,
-                )
+                at = (0.5 * (left + right), -depth / 2 - 0.02)
+                item.support("shelf", at, (right - left, depth - 0.06), z + t, free - 0.02)
     if height < 1.5:
         item.support("shelf", (0, -depth / 2), (width - 0.06, depth - 0.06), 0.066 + count * pitch + t, 0.6)
     return item
@@ -159,18 +139,14 @@ def cube_shelf(style: Style, draws: Draws, columns: int, rows: int) -> Item:
             z = r * each + t
             pick = draws.unit()
             if pick < 0.35:
-                item.add(
-                    "basket", rounded_box((each - t - 0.03, d - 0.05, 0.24), 0.02, (x, -d / 2 - 0.005, z), 2)
-                )
+                size = (each - t - 0.03, d - 0.05, 0.24)
+                item.add("basket", rounded_box(size, 0.02, (x, -d / 2 - 0.005, z), 2))
             elif pick < 0.5:
                 books(item, draws, x - 0.15, x + 0.15, -0.05, z, 0.31)
             elif pick < 0.62:
-                for j in range(3):
-                    slot = ("toy_a", "toy_b", "book_f")[j]
-                    item.add(
-                        slot,
-                        box((0.075, 0.075, 0.075), (x - 0.09 + 0.09 * j, -d / 2 - 0.06 * (j % 2), z), 0.006),
-                    )
+                for j, slot in enumerate(("toy_a", "toy_b", "book_f")):
+                    at = (x - 0.09 + 0.09 * j, -d / 2 - 0.06 * (j % 2), z)
+                    item.add(slot, box((0.075, 0.075, 0.075), at, 0.006))
             else:
                 item.support("shelf", (x, -d / 2), (each - t - 0.02, d - 0.06), z, each - t - 0.02)
     item.support("table" if h < 1.0 else "shelf", (0, -d / 2), (w - 0.04, d - 0.06), h, 0.7)
@@ -187,11 +163,8 @@ def rack(style: Style, draws: Draws, width: float) -> Item:
             item.add("steel", box((0.035, 0.035, h), (x, y, 0), 0.002, grain=2))
     for k in range(4):
         z = 0.12 + k * (h - 0.2) / 3
-        for y in (-0.006, -d + 0.006):
-            item.add(
-                "steel",
-                box((width - 0.075, 0.012, 0.05), (0, y - 0.008 if y > -0.1 else y + 0.008, z - 0.03), 0.001),
-            )
+        for y in (-0.006 - 0.008, -d + 0.006 + 0.008):
+            item.add("steel", box((width - 0.075, 0.012, 0.05), (0, y, z - 0.03), 0.001))
         item.add(boards, box((width - 0.076, d - 0.045, 0.018), (0, -d / 2, z), 0.001, grain=0))
         x = -width / 2 + 0.07
         while x < width / 2 - 0.3 and k < 3:
@@ -200,18 +173,11 @@ def rack(style: Style, draws: Draws, width: float) -> Item:
                 break
             if draws.chance(0.55):
                 item.add("box", box((bw, d - 0.12, bh), (x + bw / 2, -d / 2, z + 0.018), 0.004))
-                item.add(
-                    "mount", box((0.09, 0.002, 0.05), (x + bw / 2, -d + 0.059, z + 0.018 + bh * 0.45), 0.0)
-                )
+                label = (x + bw / 2, -d + 0.059, z + 0.018 + bh * 0.45)
+                item.add("mount", box((0.09, 0.002, 0.05), label, 0.0))
             elif draws.chance(0.4):
-                item.add(
-                    "tool",
-                    lathe(
-                        [(0, 0), (0.08, 0), (0.082, 0.004), (0.082, 0.16), (0.076, 0.166), (0, 0.166)],
-                        (x + 0.1, -d / 2, z + 0.018),
-                        20,
-                    ),
-                )
+                can = [(0, 0), (0.08, 0), (0.082, 0.004), (0.082, 0.16), (0.076, 0.166), (0, 0.166)]
+                item.add("tool", lathe(can, (x + 0.1, -d / 2, z + 0.018), 20))
             else:
                 item.support("shelf", (x + bw / 2, -d / 2), (bw, d - 0.1), z + 0.018, (h - 0.2) / 3 - 0.08)
             x += bw + 0.03
@@ -234,13 +200,8 @@ def wall_shelf(style: Style, draws: Draws, width: float, boards: int = 2) -> Ite
         if draws.chance(0.5):
             left = books(item, draws, left, left + 0.5 * width, -0.03, z + 0.026, 0.3) + 0.02
         if width / 2 - left > 0.15:
-            item.support(
-                "shelf",
-                (0.5 * (left + width / 2 - 0.03), -d / 2),
-                (width / 2 - 0.03 - left, d - 0.05),
-                z + 0.026,
-                0.3,
-            )
+            at = (0.5 * (left + width / 2 - 0.03), -d / 2)
+            item.support("shelf", at, (width / 2 - 0.03 - left, d - 0.05), z + 0.026, 0.3)
     return item
 
 
@@ -251,10 +212,8 @@ def tool_board(style: Style, draws: Draws, width: float) -> Item:
     item.add("second", box((width, 0.018, h), (0, -0.009, 0), 0.002, grain=0))
     x = -width / 2 + 0.12
     while x < width / 2 - 0.1:
-        kind, top = (
-            draws.choice(("hammer", "saw", "driver", "square", "tongs")),
-            h - draws.uniform(0.08, 0.16),
-        )
+        kind = draws.choice(("hammer", "saw", "driver", "square", "tongs"))
+        top = h - draws.uniform(0.08, 0.16)
         if kind == "hammer":
             item.add("grip", tube([(x, -0.04, top - 0.3), (x, -0.04, top)], 0.013, 10))
             item.add("tool", box((0.11, 0.026, 0.03), (x, -0.04, top - 0.012), 0.004))
@@ -263,39 +222,16 @@ def tool_board(style: Style, draws: Draws, width: float) -> Item:
             item.add("grip", rounded_box((0.1, 0.022, 0.11), 0.01, (x, -0.031, top - 0.05), 2))
         elif kind == "driver":
             for k in range(3):
-                item.add(
-                    "grip",
-                    tube(
-                        [(x + 0.04 * k - 0.04, -0.035, top), (x + 0.04 * k - 0.04, -0.035, top - 0.1)],
-                        0.012,
-                        8,
-                    ),
-                )
-                item.add(
-                    "tool",
-                    tube(
-                        [(x + 0.04 * k - 0.04, -0.035, top - 0.1), (x + 0.04 * k - 0.04, -0.035, top - 0.21)],
-                        0.0035,
-                        6,
-                    ),
-                )
+                ends = [(x + 0.04 * k - 0.04, -0.035, z) for z in (top, top - 0.1, top - 0.21)]
+                item.add("grip", tube(ends[:2], 0.012, 8))
+                item.add("tool", tube(ends[1:], 0.0035, 6))
         elif kind == "square":
             item.add("tool", box((0.03, 0.003, 0.26), (x - 0.05, -0.03, top - 0.26), 0.001))
             item.add("grip", box((0.13, 0.014, 0.03), (x, -0.03, top - 0.03), 0.003))
         else:
             for side in (-1, 1):
-                item.add(
-                    "grip",
-                    tube(
-                        [
-                            (x + side * 0.004, -0.034, top - 0.06),
-                            (x + side * 0.025, -0.034, top - 0.12),
-                            (x + side * 0.022, -0.034, top - 0.2),
-                        ],
-                        0.009,
-                        8,
-                    ),
-                )
+                path = ((0.004, 0.06), (0.025, 0.12), (0.022, 0.2))
+                item.add("grip", tube([(x + side * dx, -0.034, top - drop) for dx, drop in path], 0.009, 8))
             item.add("tool", box((0.03, 0.014, 0.07), (x, -0.034, top - 0.07), 0.004))
         item.add("metal", tube([(x, -0.017, top - 0.01), (x, -0.055, top - 0.008)], 0.003, 6))
         x += draws.uniform(0.16, 0.24)
@@ -327,11 +263,8 @@ def _coat(draws: Draws, room: float) -> Shape:
         deep = 0.05 * (0.35 + 0.65 * min(1.0, 3 * t))
         angle = np.linspace(0, 2 * np.pi, 25)[:-1]
         fold = 1 + 0.16 * t * np.sin(5 * angle + phase) + 0.06 * np.sin(9 * angle)
-        ring = np.stack(
-            [w * np.cos(angle) * fold, -0.062 + deep * np.sin(angle) * fold, np.full(24, -t * length)], axis=1
-        )
-        ring[:, 1] = np.minimum(ring[:, 1], -0.012)
-        rings.append(ring)
+        y = np.minimum(-0.062 + deep * np.sin(angle) * fold, -0.012)
+        rings.append(np.stack([w * np.cos(angle) * fold, y, np.full(24, -t * length)], axis=1))
     return loft(np.array(rings), (True, True))
 
 
@@ -360,17 +293,9 @@ def basket(style: Style, draws: Draws) -> Item:
     """Make a tall round basket, perhaps with a towel."""
     item = Item("basket")
     r, h = draws.uniform(0.17, 0.23), draws.uniform(0.3, 0.55)
-    profile = [
-        (0, 0),
-        (0.82 * r, 0),
-        (0.86 * r, 0.015),
-        (r, h - 0.01),
-        (r + 0.006, h),
-        (r - 0.008, h),
-        (0.84 * r, 0.02),
-        (0, 0.02),
-    ]
-    item.add("basket", lathe(profile, (0, -r - 0.02, 0), 28))
+    outside = [(0, 0), (0.82 * r, 0), (0.86 * r, 0.015), (r, h - 0.01), (r + 0.006, h)]
+    inside = [(r - 0.008, h), (0.84 * r, 0.02), (0, 0.02)]
+    item.add("basket", lathe([*outside, *inside], (0, -r - 0.02, 0), 28))
     if draws.chance(0.6):
         item.add("towel", rounded_box((1.25 * r, 1.2 * r, 0.14), 0.06, (0, -r - 0.02, h - 0.12), 2, 0.03))
     return item

@@ -18,7 +18,7 @@ from datagen.parametric.furnish import (
     pictures,
     seats,
 )
-from datagen.parametric.layout import SIDES, Furnisher, Unfit
+from datagen.parametric.layout import LEFT_RIGHT, SIDES, Furnisher, Unfit
 from datagen.parametric.shell import WALLS
 
 
@@ -40,11 +40,9 @@ def office(room: Furnisher) -> None:
     if not made:
         desk_place(room, True)
     for _ in range(draws.integer(1, 2)):
-        pick = draws.unit()
-        if pick < 0.5:
-            room.at_wall(
-                storage.bookcase(style, draws, draws.uniform(0.8, 1.6), draws.uniform(1.2, 2.05), 0.36)
-            )
+        if draws.unit() < 0.5:
+            size = draws.uniform(0.8, 1.6), draws.uniform(1.2, 2.05)
+            room.at_wall(storage.bookcase(style, draws, *size, 0.36))
         else:
             room.at_wall(storage.sideboard(style, draws, draws.uniform(1.2, 1.8), draws.uniform(0.7, 1.1)))
     if draws.chance(0.6):
@@ -78,9 +76,8 @@ def reading_room(room: Furnisher) -> None:
     """Place bookcases along the walls, and seats."""
     draws, style = room.draws, room.style
     for _ in range(draws.integer(3, 5)):
-        room.at_wall(
-            storage.bookcase(style, draws, draws.uniform(1.0, 2.4), draws.uniform(1.9, 2.25), fill=0.9)
-        )
+        size = draws.uniform(1.0, 2.4), draws.uniform(1.9, 2.25)
+        room.at_wall(storage.bookcase(style, draws, *size, fill=0.9))
     group = seats(room, draws.integer(2, 3))
     if not group:
         raise Unfit("the reading room has no space for seats")
@@ -102,12 +99,11 @@ def laundry(room: Furnisher) -> None:
         run = units.utility_run(style, draws, draws.integer(1, 2))
         made = room.at_wall(run, room.blank_walls(), "corner")
     if made is None:
-        first = room.at_wall(
-            units.washing_machine(style, draws, draws.chance(0.4)), where="corner", needed=True
-        )
+        machine = units.washing_machine(style, draws, draws.chance(0.4))
+        first = room.at_wall(machine, where="corner", needed=True)
         assert first is not None
         if draws.chance(0.6):
-            room.beside(units.washing_machine(style, draws), first, draws.choice(("left", "right")))
+            room.beside(units.washing_machine(style, draws), first, draws.choice(LEFT_RIGHT))
     if draws.chance(0.6):
         room.in_middle(storage.drying_rack(style, draws))
     for _ in range(draws.integer(1, 2)):
@@ -132,24 +128,15 @@ def workshop(room: Furnisher) -> None:
     for _ in range(draws.integer(1, 3)):
         room.at_wall(storage.rack(style, draws, draws.uniform(0.9, 1.5)))
     if draws.chance(0.6):
-        item = storage.cabinet(
-            "drawers",
-            style,
-            (0.7, 0.45, 0.95),
-            [("drawer", 0.3), ("drawer", 0.15), ("drawer", 0.15), ("drawer", 0.1)],
-            1,
-            0.1,
-            ("steel", "steel"),
-        )
+        rows = [("drawer", height) for height in (0.3, 0.15, 0.15, 0.1)]
+        item = storage.cabinet("drawers", style, (0.7, 0.45, 0.95), rows, 1, 0.1, ("steel", "steel"))
         item.support("table", (0, -0.23), (0.62, 0.36), 0.95)
         room.at_wall(item)
     if draws.chance(0.7):
         room.in_middle(seating.stool(style, draws, 0.6))
     if draws.chance(0.5):
-        table = tables.table(
-            style, draws, draws.uniform(1.2, 1.7), draws.uniform(0.7, 0.9), 0.85, "work_table"
-        )
-        room.in_middle(table)
+        size = draws.uniform(1.2, 1.7), draws.uniform(0.7, 0.9)
+        room.in_middle(tables.table(style, draws, *size, 0.85, "work_table"))
     room.hang(fittings.clock(style, draws), 2.0)
     fill(room, ("rack", "lockers", "bin", "crates", "stool"), 2, 5)
     if draws.chance(0.5):
@@ -164,7 +151,6 @@ def cafe(room: Furnisher) -> None:
     draws, style = room.draws, room.style
     width = draws.uniform(1.8, min(2.8, max(room.shell.width, room.shell.depth) - 1.6))
     counter = units.bar_counter(style, draws, width)
-    counter.front_m = 0.8
     bar = None
     for wall in draws.shuffled(WALLS):
         bar = room.at_wall(counter, [wall], "any", gap=draws.uniform(0.95, 1.1))
@@ -184,24 +170,15 @@ def cafe(room: Furnisher) -> None:
         if bench is not None:
             half = float(bench.item.bounds[1, 0])
             for x in (-half / 2, half / 2):
-                at = bench.room_from_item @ [x, -0.62, 0.0, 1.0]
-                table = room.offer(
-                    tables.round_table(style, draws, 0.62),
-                    (float(at[0]), float(at[1]), 0.0),
-                    bench.yaw_rad,
-                    near=(bench,),
-                    ignores=(bench.name,),
-                )
+                item, at = tables.round_table(style, draws, 0.62), bench.point(x, -0.62)
+                table = room.offer(item, at, bench.yaw_rad, near=(bench,), ignores=(bench.name,))
                 if table is not None:
                     made += 1
                     room.seat(chair, table, "front", 0.0, 0.1)
     for _ in range(6):
         size = draws.uniform(0.6, 0.75)
-        item = (
-            tables.round_table(style, draws, size)
-            if draws.chance(0.6)
-            else tables.table(style, draws, size, size)
-        )
+        is_round = draws.chance(0.6)
+        item = tables.round_table(style, draws, size) if is_round else tables.table(style, draws, size, size)
         table = room.in_middle(item)
         if table is None:
             continue
