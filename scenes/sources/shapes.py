@@ -310,6 +310,11 @@ def tube(
     return without_degenerate(grid(lattice, closed_u=True).uv_turned())
 
 
+def mirrored(half: Sequence[Point]) -> list[Point]:
+    """The path through the points ``half`` and then, in reverse order, through their mirror images in x = 0."""
+    return [*half, *[(-x, y, z) for x, y, z in half[::-1] if x]]
+
+
 def hoop(radius: float, thickness: float, z: float, count: int, segments: int) -> Shape:
     """A torus about z at height ``z`` of ``count`` rings of ``segments`` points; ``thickness``: radius of the bar."""
     angles = np.linspace(0, 2 * np.pi, count, endpoint=False)

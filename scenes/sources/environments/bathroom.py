@@ -85,36 +85,11 @@ def _tiling(room: Room) -> None:
 
 def _washing(room: Room) -> None:
     w = room.builder
-    storage.cabinet(
-        w,
-        "vanity",
-        width=0.9,
-        height=0.62,
-        depth=0.44,
-        columns=2,
-        slot="vanity",
-        handle="chrome",
-        plinth=0.0,
-        top_thick=0.025,
-    )
+    storage.cabinet(w, "vanity", (0.9, 0.44, 0.62), 2, handle="chrome", plinth=0.0)
     room.place("east", "vanity", 0.35, gap=0.014, z=0.2)
-    basin = lathe(
-        [
-            (0, 0),
-            (0.1, 0),
-            (0.125, 0.01),
-            (0.185, 0.075),
-            (0.205, 0.125),
-            (0.206, 0.131),
-            (0.2, 0.132),
-            (0.196, 0.126),
-            (0.176, 0.078),
-            (0.115, 0.022),
-            (0.03, 0.014),
-            (0, 0.012),
-        ],
-        48,
-    )
+    outside = [(0, 0), (0.1, 0), (0.125, 0.01), (0.185, 0.075), (0.205, 0.125), (0.206, 0.131), (0.2, 0.132)]
+    inside = [(0.196, 0.126), (0.176, 0.078), (0.115, 0.022), (0.03, 0.014), (0, 0.012)]
+    basin = lathe([*outside, *inside], 48)
     w["basin", "enamel"] += basin.scaled(1, 0.9, 1)
     w["basin", "chrome"] += lathe(
         [(0, 0.012), (0.022, 0.0145), (0.024, 0.017), (0.016, 0.0185), (0, 0.018)], 24
@@ -147,31 +122,15 @@ def _storage(room: Room) -> None:
     room.place("west", "towel_rail", 0.35, z=1.15, gap=0.014)
     bathroom_furniture.towel(w)
     room.place("west", "towel", 0.35, z=1.149, gap=0.094)
-    storage.shelf_unit(
-        w,
-        "tall_shelf",
-        width=0.5,
-        height=1.7,
-        depth=0.28,
-        levels=(0.12, 0.5, 0.88, 1.26),
-        slot="shelves",
-        back=False,
-    )
+    storage.shelf_unit(w, "tall_shelf", (0.5, 0.28, 1.7), (0.12, 0.5, 0.88, 1.26), back=False)
     room.place("west", "tall_shelf", -0.85, gap=0.02)
     for k, z in enumerate((0.5, 1.26)):
         room.surface(f"tall shelf {k}", "shelf", "west", -0.85, 0.42, 0.04, 0.27, z, 0.34)
     room.surface("tall shelf top", "shelf", "west", -0.85, 0.44, 0.04, 0.27, 1.7, 0.5)
     for k, z in enumerate((0.12, 0.88)):
         for j in range(3):
-            roll = soft_box(
-                (0.36, 0.24, 0.075),
-                (0, -0.15, z + 0.001 + 0.076 * j),
-                0.034,
-                (0.004, 0.006, 0.004),
-                9,
-                0.001,
-                5 * k + j,
-            )
+            at, puff = (0, -0.15, z + 0.001 + 0.076 * j), (0.004, 0.006, 0.004)
+            roll = soft_box((0.36, 0.24, 0.075), at, 0.034, puff, 9, 0.001, 5 * k + j)
             w["folded_towels", "towels" if (j + k) % 2 else "towel_white"] += roll
     room.place("west", "folded_towels", -0.85, gap=0.02)
     w["laundry", "laundry"] += _basket()
@@ -182,11 +141,8 @@ def _storage(room: Room) -> None:
     )
     for k in range(4):
         a = np.pi / 4 + k * np.pi / 2
-        w["stool", "stool"] += tube(
-            [(0.15 * np.cos(a), 0.15 * np.sin(a), 0.003), (0.1 * np.cos(a), 0.1 * np.sin(a), 0.425)],
-            [0.012, 0.016],
-            10,
-        )
+        leg = [(0.15 * np.cos(a), 0.15 * np.sin(a), 0.003), (0.1 * np.cos(a), 0.1 * np.sin(a), 0.425)]
+        w["stool", "stool"] += tube(leg, [0.012, 0.016], 10)
     w.place("stool", -1.2, -0.25)
     room.surface_at("stool", "seat", (-1.2, -0.25), (0.2, 0.2), 0.452, 0.8)
 

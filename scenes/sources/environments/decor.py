@@ -35,20 +35,9 @@ def rug(
 def floor_lamp(room: Room, x: float, y: float, height: float = 1.55) -> None:
     """Add a floor lamp with a round foot and a drum shade at (x, y), with its light slot."""
     w = room.builder
-    w["floor_lamp", "hardware"] += lathe(
-        [
-            (0, 0),
-            (0.14, 0),
-            (0.145, 0.006),
-            (0.13, 0.018),
-            (0.02, 0.024),
-            (0.011, 0.04),
-            (0.011, height - 0.2),
-            (0.018, height - 0.18),
-            (0, height - 0.17),
-        ],
-        28,
-    )
+    foot = [(0, 0), (0.14, 0), (0.145, 0.006), (0.13, 0.018), (0.02, 0.024), (0.011, 0.04)]
+    top = [(0.011, height - 0.2), (0.018, height - 0.18), (0, height - 0.17)]
+    w["floor_lamp", "hardware"] += lathe([*foot, *top], 28)
     w["floor_lamp", "lamp_shade"] += drum_shade(0.16, 0.21, 0.27).moved(z=height - 0.27)
     w["floor_lamp", "hardware"] += spider(0.155, height - 0.03)
     w.place("floor_lamp", x, y)
@@ -58,18 +47,9 @@ def floor_lamp(room: Room, x: float, y: float, height: float = 1.55) -> None:
 def drum_shade(top: float, bottom: float, height: float, segments: int = 36) -> Shape:
     """An open conical shade with the radii ``top`` and ``bottom``, 3 mm thick."""
     t = 0.003
-    return lathe(
-        [
-            (bottom, 0.0),
-            (bottom + t / 2, 0.002),
-            (top + t / 2, height - 0.002),
-            (top, height),
-            (top - t / 2, height - 0.002),
-            (bottom - t / 2, 0.002),
-            (bottom, 0.0),
-        ],
-        segments,
-    )
+    outside = [(bottom, 0.0), (bottom + t / 2, 0.002), (top + t / 2, height - 0.002), (top, height)]
+    inside = [(top - t / 2, height - 0.002), (bottom - t / 2, 0.002), (bottom, 0.0)]
+    return lathe([*outside, *inside], segments)
 
 
 def spider(radius: float, z: float) -> Shape:
@@ -85,36 +65,14 @@ def pendant(
     """Add a pendant lamp with a dome shade at (x, y), with a square light slot with sides of ``slot_m``."""
     w, ceiling = room.builder, room.height
     z = ceiling - drop
-    w["pendant", metal] += lathe(
-        [
-            (0, ceiling - 0.03),
-            (0.045, ceiling - 0.03),
-            (0.055, ceiling - 0.02),
-            (0.055, ceiling + 0.002),
-            (0, ceiling + 0.002),
-        ],
-        24,
-    )
+    rose = ((0, -0.03), (0.045, -0.03), (0.055, -0.02), (0.055, 0.002), (0, 0.002))
+    w["pendant", metal] += lathe([(x, ceiling + dz) for x, dz in rose], 24)
     w["pendant", metal] += tube([(0, 0, ceiling - 0.02), (0, 0, z + 0.6 * radius)], 0.0035, 8)
     r, h, t = radius, 0.62 * radius, 0.003
-    outer = [
-        (r, 0),
-        (0.97 * r, 0.3 * h),
-        (0.82 * r, 0.66 * h),
-        (0.5 * r, 0.93 * h),
-        (0.16 * r, 1.02 * h),
-        (0.1 * r, 1.15 * h),
-        (0.0, 1.17 * h),
-    ]
-    inner = [
-        (0.0, 0.97 * h),
-        (0.16 * r, 0.97 * h),
-        (0.48 * r, 0.88 * h),
-        (0.8 * r, 0.63 * h),
-        (0.955 * r, 0.28 * h),
-        (r - t, 0),
-    ]
-    w["pendant", "lamp_shade"] += lathe([*outer, *inner, (r, 0)], 40).moved(z=z)
+    outer = ((1, 0), (0.97, 0.3), (0.82, 0.66), (0.5, 0.93), (0.16, 1.02), (0.1, 1.15), (0.0, 1.17))
+    inner = ((0.0, 0.97), (0.16, 0.97), (0.48, 0.88), (0.8, 0.63), (0.955, 0.28))
+    dome = [(x * r, y * h) for x, y in (*outer, *inner)]
+    w["pendant", "lamp_shade"] += lathe([*dome, (r - t, 0), (r, 0)], 40).moved(z=z)
     w.place("pendant", x, y)
     room.area_slot("pendant", (x, y, z + 0.02), (slot_m, slot_m))
 
@@ -126,16 +84,8 @@ def ceiling_light(
     w, ceiling = room.builder, room.height
     w["ceiling_light", metal] += (lathe([(0, ceiling + 0.002), (radius, ceiling + 0.002), (radius + 0.006, ceiling - 0.004), (radius + 0.006, ceiling - 0.05), (radius, ceiling - 0.056), (radius - 0.012, ceiling - 0.05),
                               (radius - 0.012, ceiling - 0.03), (0, ceiling - 0.03)][::-1], 40))  # fmt: skip
-    w["ceiling_light", "lamp_shade"] += lathe(
-        [
-            (0, ceiling - 0.066),
-            (0.6 * radius, ceiling - 0.064),
-            (radius - 0.014, ceiling - 0.052),
-            (radius - 0.016, ceiling - 0.032),
-            (0, ceiling - 0.032),
-        ],
-        40,
-    )
+    shade = ((0, 0.066), (0.6 * radius, 0.064), (radius - 0.014, 0.052), (radius - 0.016, 0.032), (0, 0.032))
+    w["ceiling_light", "lamp_shade"] += lathe([(x, ceiling - dz) for x, dz in shade], 40)
     w.place("ceiling_light", x, y)
     room.area_slot("ceiling light", (x, y, ceiling - 0.066 - 0.004), (slot_m, slot_m))
 
@@ -175,21 +125,9 @@ def plant(
     """Add a broad-leaved plant in a pot about the z axis."""
     rng = np.random.default_rng(seed)
     r, h = pot_radius, 1.8 * pot_radius
-    w["plant", "pot"] += lathe(
-        [
-            (0, 0),
-            (0.72 * r, 0),
-            (0.74 * r, 0.004),
-            (0.98 * r, 0.9 * h),
-            (1.06 * r, 0.905 * h),
-            (1.07 * r, h),
-            (0.99 * r, h),
-            (0.93 * r, 0.85 * h),
-            (0.9 * r, 0.8 * h),
-            (0, 0.8 * h),
-        ],
-        36,
-    )
+    outside = [(0, 0), (0.72 * r, 0), (0.74 * r, 0.004), (0.98 * r, 0.9 * h), (1.06 * r, 0.905 * h)]
+    inside = [(1.07 * r, h), (0.99 * r, h), (0.93 * r, 0.85 * h), (0.9 * r, 0.8 * h), (0, 0.8 * h)]
+    w["plant", "pot"] += lathe([*outside, *inside], 36)
     w["plant", "soil"] += lathe(
         [(0.92 * r, 0.82 * h), (0.7 * r, 0.85 * h), (0.3 * r, 0.84 * h), (0, 0.86 * h)], 24
     )

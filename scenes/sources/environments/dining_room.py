@@ -51,32 +51,14 @@ def dining_room(collection: bpy.types.Collection) -> None:
     w.place("table", 0.0, 0.05, 0.0115)
     room.surface_at("table", "table", (0.0, 0.05), (1.8, 0.86), 0.7615, 0.85)
     furniture.chair(w)
-    places = (
-        (-0.55, -0.62, 178.0),
-        (0.1, -0.6, 183.0),
-        (0.68, -0.63, 174.0),
-        (-0.5, 0.74, -3.0),
-        (0.12, 0.72, 2.0),
-        (0.62, 0.9, -24.0),
-    )
-    for x, y, degrees in places:
+    front = ((-0.55, -0.62, 178.0), (0.1, -0.6, 183.0), (0.68, -0.63, 174.0))
+    back = ((-0.5, 0.74, -3.0), (0.12, 0.72, 2.0), (0.62, 0.9, -24.0))
+    for x, y, degrees in (*front, *back):
         w.place("chair", x, y, 0.0115, degrees)
     storage.cabinet(
-        w,
-        "sideboard",
-        width=1.7,
-        height=0.88,
-        depth=0.46,
-        columns=3,
-        rows=(0.28, 0.72),
-        slot="sideboard",
-        top="top",
-        handle="brass",
-        plinth=0.1,
-        panel=True,
-        knobs=True,
-        top_thick=0.022,
-    )
+        w, "sideboard", (1.7, 0.46, 0.88), 3, (0.28, 0.72), top="top", handle="brass", plinth=0.1,
+        panelled=True, top_thick=0.022,
+    )  # fmt: skip
     room.place("north", "sideboard", 0.2, gap=0.02)
     room.surface("sideboard", "table", "north", 0.2, 1.6, 0.06, 0.44, 0.88, 0.42)
     _dresser(room)
@@ -112,23 +94,9 @@ def _panelling(room: Room) -> None:
 
 def _dresser(room: Room) -> None:
     w = room.builder
-    storage.cabinet(
-        w,
-        "dresser",
-        width=1.1,
-        height=0.9,
-        depth=0.42,
-        columns=2,
-        rows=(0.3, 0.7),
-        slot="dresser",
-        handle="brass",
-        panel=True,
-        knobs=True,
-    )
+    storage.cabinet(w, "dresser", (1.1, 0.42, 0.9), 2, (0.3, 0.7), handle="brass", panelled=True)
     room.place("east", "dresser", -0.75, gap=0.025)
-    storage.shelf_unit(
-        w, "dresser_shelves", width=1.06, height=1.15, depth=0.24, levels=(0.03, 0.38, 0.73), slot="dresser"
-    )
+    storage.shelf_unit(w, "dresser_shelves", (1.06, 0.24, 1.15), (0.03, 0.38, 0.73), slot="dresser")
     room.place("east", "dresser_shelves", -0.75, gap=0.025, z=0.9)
     for k, z in enumerate((0.93, 1.28, 1.63)):
         room.surface(f"dresser shelf {k}", "shelf", "east", -0.75, 0.96, 0.05, 0.24, z, 0.31)
@@ -140,15 +108,10 @@ def _sconce(room: Room, number: int, s: float) -> None:
     """Add a wall lamp at ``s`` along the wall, next to the mirror."""
     w = room.builder
     part = f"sconce_{number}"
-    w[part, "brass"] += lathe([(0, 0), (0.05, 0), (0.052, 0.006), (0.03, 0.014), (0, 0.016)], 28).turned(
-        "x", 90
-    )
-    w[part, "brass"] += [
-        tube([(0, -0.01, 0), (0, -0.07, -0.02), (0, -0.11, 0.0), (0, -0.115, 0.05)], 0.006, 10, smooth=4),
-        lathe([(0, 0.045), (0.02, 0.047), (0.024, 0.055), (0.012, 0.06), (0.01, 0.11), (0, 0.11)], 20).moved(
-            0, -0.115, 0
-        ),
-    ]
+    plate = lathe([(0, 0), (0.05, 0), (0.052, 0.006), (0.03, 0.014), (0, 0.016)], 28)
+    arm = [(0, -0.01, 0), (0, -0.07, -0.02), (0, -0.11, 0.0), (0, -0.115, 0.05)]
+    cup = lathe([(0, 0.045), (0.02, 0.047), (0.024, 0.055), (0.012, 0.06), (0.01, 0.11), (0, 0.11)], 20)
+    w[part, "brass"] += [plate.turned("x", 90), tube(arm, 0.006, 10, smooth=4), cup.moved(0, -0.115, 0)]
     w[part, "lamp_shade"] += decor.drum_shade(0.05, 0.075, 0.12, 28).moved(0, -0.115, 0.085)
     room.place("north", part, s, z=1.75)
     room.point_slot(f"sconce {number}", (s, room.depth / 2 - 0.115, 1.75 + 0.15))

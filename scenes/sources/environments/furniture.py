@@ -26,34 +26,18 @@ def sofa(
     """Add an upholstered sofa or armchair: base, arms, back, loose seat and back cushions, scatter cushions."""
     arm, back = 0.19, 0.22
     inner = width - 2 * arm
-    w[part, cover] += soft_box(
-        (inner + 0.02, depth - back + 0.03, 0.17),
-        (0, -(depth + back) / 2 + 0.03, 0.11),
-        0.03,
-        (0, 0.004, 0),
-        6,
-    )
+    size, at = (inner + 0.02, depth - back + 0.03, 0.17), (0, -(depth + back) / 2 + 0.03, 0.11)
+    w[part, cover] += soft_box(size, at, 0.03, (0, 0.004, 0), 6)
     for side in (-1, 1):
-        w[part, cover] += soft_box(
-            (arm, depth, 0.50),
-            (side * (width - arm) / 2, -depth / 2, 0.11),
-            0.055,
-            (0.012, 0.006, 0.012),
-            8,
-        )
+        at = (side * (width - arm) / 2, -depth / 2, 0.11)
+        w[part, cover] += soft_box((arm, depth, 0.50), at, 0.055, (0.012, 0.006, 0.012), 8)
     w[part, cover] += soft_box((inner + 0.01, back, 0.66), (0, -back / 2, 0.11), 0.06, (0, 0.012, 0.012), 8)
     each = inner / seats
     for k in range(seats):
         x = -inner / 2 + each * (k + 0.5)
-        w[part, cover] += soft_box(
-            (each - 0.008, depth - back - 0.005, 0.155),
-            (x, -(depth + back) / 2 - 0.008, seat_height - 0.155),
-            0.045,
-            (0.004, 0.014, 0.028),
-            10,
-            0.0022,
-            seed + k,
-        )
+        size, puff = (each - 0.008, depth - back - 0.005, 0.155), (0.004, 0.014, 0.028)
+        at = (x, -(depth + back) / 2 - 0.008, seat_height - 0.155)
+        w[part, cover] += soft_box(size, at, 0.045, puff, 10, 0.0022, seed + k)
         cushion = soft_box(
             (each - 0.02, 0.17, 0.44), (0, 0, 0), 0.07, (0.004, 0.034, 0.012), 9, 0.002, seed + 20 + k
         )
@@ -119,12 +103,8 @@ def chair(w: PartBuilder) -> None:
     d, wd, h = 0.43, 0.44, 0.45
     for side in (-1, 1):
         x = side * (wd / 2 - 0.02)
-        frame += tube(
-            [(x, -d / 2 + 0.02, 0.003), (x, -d / 2 + 0.025, 0.25), (x * 0.97, -d / 2 + 0.03, h - 0.02)],
-            [0.012, 0.017, 0.019],
-            10,
-            smooth=3,
-        )
+        path = [(x, -d / 2 + 0.02, 0.003), (x, -d / 2 + 0.025, 0.25), (x * 0.97, -d / 2 + 0.03, h - 0.02)]
+        frame += tube(path, [0.012, 0.017, 0.019], 10, smooth=3)
         frame += (tube([(x * 1.02, d / 2 + 0.03, 0.003), (x, d / 2 - 0.015, 0.3), (x, d / 2 - 0.015, 0.46), (x * 0.97, d / 2 + 0.035, 0.72), (x * 0.95, d / 2 + 0.085, 0.9)],
                                 [0.012, 0.018, 0.019, 0.016, 0.013], 10, smooth=4))  # fmt: skip
         frame += box((0.018, d - 0.05, 0.045), (x * 0.98, 0, h - 0.065), 0.004, grain=1)

@@ -72,18 +72,8 @@ def _units(room: Room) -> None:
         ("cupboard", 0.75, 1.3, 3, (0.26, 0.74)),
     )
     for name, s, width, columns, rows in layout:
-        storage.cabinet(
-            w,
-            name,
-            width=width,
-            height=TOP - 0.038,
-            depth=0.58,
-            columns=columns,
-            rows=rows,
-            slot="units",
-            plinth=0.1,
-            top_thick=0,
-        )
+        size = (width, 0.58, TOP - 0.038)
+        storage.cabinet(w, name, size, columns, rows, slot="units", plinth=0.1, top_thick=0)
         room.place("north", name, s)
     w["oven_case", "units"] += [
         box((0.6, 0.54, 0.24), (0, -0.27, 0.1), 0.002),
@@ -138,19 +128,9 @@ def _shelves(room: Room) -> None:
             ]
         room.place("east", f"shelf_{k}", 0.55, z=z)
         room.surface(f"wall shelf {k}", "shelf", "east", 0.55, 0.92, 0.02, 0.2, z, 0.3)
-    clock = lathe(
-        [
-            (0, -0.03),
-            (0.14, -0.03),
-            (0.155, -0.024),
-            (0.16, -0.012),
-            (0.152, 0.002),
-            (0.142, 0.004),
-            (0.138, -0.012),
-            (0, -0.014),
-        ],
-        48,
-    ).turned("x", 90)
+    outside = [(0, -0.03), (0.14, -0.03), (0.155, -0.024), (0.16, -0.012), (0.152, 0.002), (0.142, 0.004)]
+    inside = [(0.138, -0.012), (0, -0.014)]
+    clock = lathe([*outside, *inside], 48).turned("x", 90)
     w["wall_clock", "mounts"] += clock.moved(0, -0.03, 0)
     for angle, length, width in ((52.0, 0.075, 0.008), (-76.0, 0.11, 0.005)):
         w["wall_clock", "knobs"] += (

@@ -38,18 +38,8 @@ def basin_shape(width: float, depth: float, deep: float) -> Shape:
     # the inside must face up, the outside down
     inside = inside if faces_up(inside) else inside.flipped()
     outside = outside.flipped() if faces_up(outside) else outside
-    plug = lathe(
-        [
-            (0, -deep - 0.001),
-            (0.024, -deep - 0.001),
-            (0.03, -deep + 0.001),
-            (0.03, -deep + 0.003),
-            (0.02, -deep + 0.0015),
-            (0, -deep + 0.001),
-        ],
-        24,
-    )
-    return inside + outside + plug
+    plug = ((0, -0.001), (0.024, -0.001), (0.03, 0.001), (0.03, 0.003), (0.02, 0.0015), (0, 0.001))
+    return inside + outside + lathe([(r, -deep + z) for r, z in plug], 24)
 
 
 def faces_up(shape: Shape) -> bool:
@@ -75,19 +65,9 @@ def tap(w: PartBuilder, part: str, slot: str, *, height: float = 0.3, reach: flo
     w[part, slot] += lathe(
         [(0, 0), (0.028, 0), (0.028, 0.006), (0.021, 0.012), (0.02, 0.09), (0.013, 0.1), (0, 0.1)], 24
     )
-    w[part, slot] += tube(
-        [
-            (0, 0, 0.09),
-            (0, 0, height * 0.75),
-            (0, -0.25 * reach, height),
-            (0, -0.75 * reach, height),
-            (0, -reach, height * 0.8),
-            (0, -reach, height * 0.62),
-        ],
-        0.0115,
-        14,
-        smooth=5,
-    )
+    rise = [(0, 0, 0.09), (0, 0, height * 0.75), (0, -0.25 * reach, height), (0, -0.75 * reach, height)]
+    spout = [*rise, (0, -reach, height * 0.8), (0, -reach, height * 0.62)]
+    w[part, slot] += tube(spout, 0.0115, 14, smooth=5)
     w[part, slot] += tube(
         [(0.015, 0, 0.06), (0.05, 0, 0.068), (0.085, -0.01, 0.09)], [0.009, 0.006, 0.005], 10, smooth=3
     )
@@ -97,16 +77,9 @@ def hob(w: PartBuilder) -> None:
     """Add a glass-ceramic hob about the z axis, with its zones marked by thin rings."""
     w["hob", "dark_glass"] += extrude(rounded_rectangle(0.58, 0.5, 0.012, 3), 0.006, 0.0015)
     for x, y, r in ((-0.15, -0.11, 0.09), (-0.15, 0.12, 0.075), (0.14, -0.11, 0.075), (0.14, 0.12, 0.1)):
-        w["hob", "hob_marks"] += lathe(
-            [
-                (r - 0.0015, 0.0055),
-                (r + 0.0015, 0.0055),
-                (r + 0.0015, 0.0063),
-                (r - 0.0015, 0.0063),
-                (r - 0.0015, 0.0055),
-            ],
-            40,
-        ).moved(x, y)
+        inner, outer = r - 0.0015, r + 0.0015
+        ring = [(inner, 0.0055), (outer, 0.0055), (outer, 0.0063), (inner, 0.0063), (inner, 0.0055)]
+        w["hob", "hob_marks"] += lathe(ring, 40).moved(x, y)
 
 
 def oven(w: PartBuilder, height: float) -> None:
@@ -121,22 +94,9 @@ def oven(w: PartBuilder, height: float) -> None:
         box((0.12, 0.004, 0.045), (0, y - 0.0105, height - 0.075), 0.001),
     ]
     for x in (-0.23, -0.16, 0.16, 0.23):
-        w["oven", "knobs"] += (
-            lathe(
-                [
-                    (0, 0),
-                    (0.021, 0),
-                    (0.021, 0.004),
-                    (0.017, 0.007),
-                    (0.016, 0.024),
-                    (0.013, 0.026),
-                    (0, 0.0262),
-                ],
-                24,
-            )
-            .turned("x", 90)
-            .moved(x, y - 0.009, height - 0.052)
-        )
+        lower = [(0, 0), (0.021, 0), (0.021, 0.004), (0.017, 0.007)]
+        upper = [(0.016, 0.024), (0.013, 0.026), (0, 0.0262)]
+        w["oven", "knobs"] += lathe([*lower, *upper], 24).turned("x", 90).moved(x, y - 0.009, height - 0.052)
     z = height - 0.155
     w["oven", "appliances"] += [
         tube([(-0.24, y - 0.05, z), (0.24, y - 0.05, z)], 0.009, 12),

@@ -84,10 +84,8 @@ def _tables(room: Room) -> None:
     w.place("coffee_table", -0.5, -0.3, 0.011)
     room.surface_at("coffee table", "table", (-0.5, -0.3), (1.05, 0.54), 0.431, 1.0)
     room.surface_at("coffee table shelf", "shelf", (-0.5, -0.3), (0.8, 0.34), 0.171, 0.13)
-    w["side_table", "side_table"] += extrude(rounded_rectangle(0.46, 0.46, 0.22, 10), 0.022, 0.006, 2).moved(
-        z=0.5
-    )
     w["side_table", "side_table"] += [
+        extrude(rounded_rectangle(0.46, 0.46, 0.22, 10), 0.022, 0.006, 2).moved(z=0.5),
         box((0.05, 0.05, 0.5), (0, 0, 0.01), 0.01, 2),
         extrude(rounded_rectangle(0.34, 0.34, 0.165, 10), 0.015, 0.004),
     ]
@@ -97,17 +95,7 @@ def _tables(room: Room) -> None:
 
 def _storage(room: Room) -> None:
     w = room.builder
-    storage.cabinet(
-        w,
-        "sideboard",
-        width=1.9,
-        height=0.55,
-        depth=0.42,
-        columns=3,
-        rows=(0.4, 0.6),
-        slot="sideboard",
-        plinth=0.1,
-    )
+    storage.cabinet(w, "sideboard", (1.9, 0.42, 0.55), 3, (0.4, 0.6), plinth=0.1)
     room.place("north", "sideboard", -0.5, gap=0.005)
     w["tv", "tv_case"] += [
         box((1.12, 0.035, 0.645), (0, -0.2, 0.05), 0.006, 2),
@@ -119,7 +107,7 @@ def _storage(room: Room) -> None:
     for name, s, width in (("left", -1.32, 0.2), ("right", 0.22, 0.4)):
         room.surface(f"sideboard {name}", "table", "north", s, width, 0.04, 0.38, 0.55, 1.0)
     levels = (0.09, 0.44, 0.80, 1.16, 1.52)
-    storage.shelf_unit(w, "bookcase", width=1.7, height=1.9, depth=0.3, levels=levels, columns=2)
+    storage.shelf_unit(w, "bookcase", (1.7, 0.3, 1.9), levels, columns=2)
     room.place("west", "bookcase", 0.95, gap=0.004)
     bay, step = 0.817, 0.839
     for k, z in enumerate(levels):
@@ -127,23 +115,11 @@ def _storage(room: Room) -> None:
             left = -0.85 + 0.022 + column * step
             share = (0.92, 0.55, 0.0, 0.7, 0.45)[(k + 2 * column) % 5]
             if share:
-                storage.book_row(
-                    w,
-                    "books",
-                    slots.BOOKS,
-                    "pages",
-                    x=left + 0.005,
-                    width=share * bay,
-                    y=-0.285 + 0.19,
-                    z=z + 0.0005,
-                    height=0.33,
-                    seed=10 * k + column,
-                )
+                start = (left + 0.005, -0.285 + 0.19, z + 0.0005)
+                storage.book_row(w, slots.BOOKS, start, share * bay, height=0.33, seed=10 * k + column)
             free = bay * (1 - share) - 0.09
             if free > 0.15:
-                centre = left + bay - free / 2 - 0.015
-                room.surface(
-                    f"bookcase {k}.{column}", "shelf", "west", 0.95 + centre, free - 0.02, 0.03, 0.28, z, 0.31
-                )
+                name, centre = f"bookcase {k}.{column}", left + bay - free / 2 - 0.015
+                room.surface(name, "shelf", "west", 0.95 + centre, free - 0.02, 0.03, 0.28, z, 0.31)
     room.place("west", "books", 0.95, gap=0.004)
     room.surface("bookcase top", "shelf", "west", 0.95, 1.6, 0.03, 0.28, 1.9, 0.6)

@@ -230,12 +230,8 @@ class Room:
         self.builder["doors", "trim"] += self.on_wall(door.wall, join(casing), door.s)
         x = w / 2 - 0.07
         plate = box((0.042, 0.006, 0.2), (x, -0.021, 0.94), 0.003, 2)
-        lever = tube(
-            [(x, -0.02, 1.06), (x, -0.062, 1.06), (x - 0.02, -0.068, 1.06), (x - 0.12, -0.066, 1.058)],
-            0.009,
-            10,
-            smooth=4,
-        )
+        path = [(x, -0.02, 1.06), (x, -0.062, 1.06), (x - 0.02, -0.068, 1.06), (x - 0.12, -0.066, 1.058)]
+        lever = tube(path, 0.009, 10, smooth=4)
         self.builder["door_handles", "hardware"] += self.on_wall(door.wall, plate + lever, door.s)
 
     # markers ---------------------------------------------------------------------------------------------

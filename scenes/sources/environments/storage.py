@@ -10,10 +10,11 @@ from scenes.sources.shapes import Point, Shape, box, join, lathe, sheet, tube
 
 
 def shelf_unit(
-    w: PartBuilder, part: str, *, width: float, height: float, depth: float = 0.3, levels: tuple[float, ...], columns: int = 1,
-    slot: str = "shelves", back: bool = True, board: float = 0.022,
+    w: PartBuilder, part: str, size: Point, levels: tuple[float, ...], columns: int = 1,
+    slot: str = "shelves", back: bool = True,
 ) -> None:  # fmt: skip
-    """Add an open bookcase; ``levels``: heights of the boards' upper sides."""
+    """Add a bookcase of ``size`` (width, depth, height); ``levels``: heights of the boards' upper sides."""
+    (width, depth, height), board = size, 0.022
     for k in range(columns + 1):
         x = -width / 2 + board / 2 + k * (width - board) / columns
         w[part, slot] += box((board, depth, height), (x, -depth / 2, 0), 0.002, grain=2)
@@ -46,11 +47,11 @@ def book(width: float, height: float, depth: float) -> tuple[Shape, Shape]:
 
 
 def book_row(
-    w: PartBuilder, part: str, covers: tuple[str, ...], pages: str, *, x: float, width: float, y: float, z: float, height: float, seed: int,
-    depth: float = 0.19,
-) -> None:  # fmt: skip
-    """Add a row of books from ``x`` to ``x + width``, in front of ``y``; the last book leans."""
-    rng = np.random.default_rng(seed)
+    w: PartBuilder, covers: tuple[str, ...], start: Point, width: float, height: float, seed: int
+) -> None:
+    """Add a row of books from ``start`` along x, in front of its y; the last book leans."""
+    rng, depth = np.random.default_rng(seed), 0.19
+    x, y, z = start
     at = x
     while True:
         thick = float(rng.uniform(0.016, 0.042))
@@ -69,41 +70,34 @@ def book_row(
             move = (at + thick / 2 / c + 0.002, move[1], z + lift + 0.0003)
             cover, block = cover.turned("y", angle), block.turned("y", angle)
         slot = covers[int(rng.integers(len(covers)))]
-        w[part, slot] += cover.moved(*move)
-        w[part, pages] += block.moved(*move)
+        w["books", slot] += cover.moved(*move)
+        w["books", "pages"] += block.moved(*move)
         if leans:
             return
         at += thick + 0.0012
 
 
 def cabinet(
-    w: PartBuilder, part: str, *, width: float, height: float, depth: float, columns: int, rows: tuple[float, ...] = (1.0,),
-    slot: str = "cabinet", top: str = "", handle: str = "hardware", plinth: float = 0.08, overhang: float = 0.012,
-    panel: bool = False, knobs: bool = False, top_thick: float = 0.025,
+    w: PartBuilder, part: str, size: Point, columns: int, rows: tuple[float, ...] = (1.0,), *,
+    slot: str = "", top: str = "", handle: str = "hardware", plinth: float = 0.08, overhang: float = 0.012,
+    panelled: bool = False, top_thick: float = 0.025,
 ) -> None:  # fmt: skip
-    """Add a chest, sideboard or kitchen base unit: carcass, plinth and fronts. ``rows``: relative heights of the
-    rows of fronts, from the top.
+    """Add a chest, sideboard or kitchen base unit of ``size`` (width, depth, height): carcass, plinth, fronts,
+    with frames and knobs if ``panelled``. ``rows``: relative heights of the rows of fronts, from the top;
+    ``slot``: ``part`` by default.
     """
+    width, depth, height = size
+    slot = slot or part
     top = top or slot
     body = height - top_thick
-    w[part, slot] += box(
-        (width, depth - 0.022, body - plinth),
-        (0, -(depth - 0.022) / 2, plinth),
-        0.002,
-        grain=2 if height > width else 0,
-    )
+    grain, carcass = 2 if height > width else 0, (width, depth - 0.022, body - plinth)
+    w[part, slot] += box(carcass, (0, -(depth - 0.022) / 2, plinth), 0.002, grain=grain)
     if plinth:
-        w[part, slot] += box(
-            (width - 0.02, depth - 0.08, plinth), (0, -(depth - 0.08) / 2, 0), 0.001, grain=0
-        )
+        at = (0, -(depth - 0.08) / 2, 0)
+        w[part, slot] += box((width - 0.02, depth - 0.08, plinth), at, 0.001, grain=0)
     if top_thick:
-        w[part, top] += box(
-            (width + 2 * overhang, depth + overhang, top_thick),
-            (0, -(depth + overhang) / 2, body),
-            0.004,
-            2,
-            grain=0,
-        )
+        plate = (width + 2 * overhang, depth + overhang, top_thick)
+        w[part, top] += box(plate, (0, -(depth + overhang) / 2, body), 0.004, 2, grain=0)
     gap = 0.003
     fw = width / columns
     z_top = body - gap
@@ -112,29 +106,19 @@ def cabinet(
         for k in range(columns):
             x = -width / 2 + fw * (k + 0.5)
             fz = z_top - fh + gap
-            door = box(
-                (fw - gap, 0.02, fh - gap), (x, -depth + 0.011, fz), 0.003, 2, grain=2 if fh > fw else 0
-            )
-            w[part, slot] += door
-            if panel and fh > 0.2:
+            grain, y = 2 if fh > fw else 0, -depth + 0.001
+            w[part, slot] += box((fw - gap, 0.02, fh - gap), (x, -depth + 0.011, fz), 0.003, 2, grain=grain)
+            has_frame = panelled and fh > 0.2
+            if has_frame:
                 rail = 0.06
                 for dx in (-1, 1):
-                    w[part, slot] += box(
-                        (rail, 0.012, fh - gap),
-                        (x + dx * (fw - gap - rail) / 2, -depth + 0.001 - 0.004, fz),
-                        0.003,
-                        grain=2,
-                    )
+                    at = (x + dx * (fw - gap - rail) / 2, y - 0.004, fz)
+                    w[part, slot] += box((rail, 0.012, fh - gap), at, 0.003, grain=2)
                 for dz in (0.0, fh - gap - rail):
-                    w[part, slot] += box(
-                        (fw - gap - 2 * rail, 0.012, rail),
-                        (x, -depth + 0.001 - 0.004, fz + dz),
-                        0.003,
-                        grain=0,
-                    )
-            lift = -0.010 if panel and fh > 0.2 else 0.0
+                    size = (fw - gap - 2 * rail, 0.012, rail)
+                    w[part, slot] += box(size, (x, y - 0.004, fz + dz), 0.003, grain=0)
             side = 1 if k % 2 == 0 and columns > 1 else -1
-            w[part, handle] += _pull((x, -depth + 0.001 + lift, fz), fw, fh, side, knobs)
+            w[part, handle] += _pull((x, y + (-0.010 if has_frame else 0.0), fz), fw, fh, side, panelled)
         z_top -= fh
 
 

@@ -89,31 +89,16 @@ def _desk(room: Room) -> None:
         w["desk", "desk_legs"] += box((0.03, 0.6, 0.04), (x, -0.375, 0.675), 0.002, grain=1)
     w["desk", "desk_legs"] += box((1.44, 0.03, 0.05), (0, -0.06, 0.665), 0.002, grain=0)
     room.place("north", "desk", -0.45, gap=0.06)
-    storage.cabinet(
-        w,
-        "drawers",
-        width=0.42,
-        height=0.56,
-        depth=0.52,
-        columns=1,
-        rows=(1, 1, 1.6),
-        slot="drawers",
-        plinth=0.03,
-        top_thick=0.012,
-        overhang=0.0,
-    )
+    rows = (1, 1, 1.6)
+    storage.cabinet(w, "drawers", (0.42, 0.52, 0.56), 1, rows, plinth=0.03, top_thick=0.012, overhang=0.0)
     room.place("north", "drawers", 0.02, gap=0.16)
     room.surface("desk", "table", "north", -0.45, 1.5, 0.10, 0.76, 0.745, 0.9)
     # office chair: five-star base, column, padded seat and back
     for k in range(5):
         a = 2 * np.pi * k / 5 + 0.3
         end = (0.29 * np.cos(a), 0.29 * np.sin(a))
-        w["chair", "chair_base"] += tube(
-            [(0, 0, 0.1), (end[0] * 0.5, end[1] * 0.5, 0.088), (*end, 0.066)],
-            [0.023, 0.019, 0.015],
-            10,
-            smooth=3,
-        )
+        path = [(0, 0, 0.1), (end[0] * 0.5, end[1] * 0.5, 0.088), (*end, 0.066)]
+        w["chair", "chair_base"] += tube(path, [0.023, 0.019, 0.015], 10, smooth=3)
         w["chair", "castors"] += [
             cylinder(0.026, 0.016, (0, 0, -0.017), 0.004, 20)
             .turned("x", 90)
@@ -142,41 +127,19 @@ def _desk(room: Room) -> None:
         w["chair", "castors"] += soft_box(
             (0.06, 0.26, 0.028), (side * 0.285, 0.0, 0.65), 0.012, (0, 0, 0.002), 6
         )
-        w["chair", "chair_base"] += tube(
-            [
-                (side * 0.16, 0.02, 0.42),
-                (side * 0.27, 0.02, 0.43),
-                (side * 0.29, 0.02, 0.5),
-                (side * 0.287, 0.0, 0.66),
-            ],
-            0.011,
-            10,
-            smooth=4,
-        )
+        arm = ((0.16, 0.02, 0.42), (0.27, 0.02, 0.43), (0.29, 0.02, 0.5), (0.287, 0.0, 0.66))
+        w["chair", "chair_base"] += tube([(side * x, y, z) for x, y, z in arm], 0.011, 10, smooth=4)
     w.place("chair", -0.75, 0.28, 0, 164)
-    w["bin", "bin"] += lathe(
-        [
-            (0, 0.0),
-            (0.1, 0.0),
-            (0.105, 0.004),
-            (0.13, 0.29),
-            (0.133, 0.295),
-            (0.13, 0.298),
-            (0.127, 0.29),
-            (0.102, 0.008),
-            (0, 0.006),
-        ],
-        36,
-    )
+    outside = [(0, 0.0), (0.1, 0.0), (0.105, 0.004), (0.13, 0.29), (0.133, 0.295), (0.13, 0.298)]
+    inside = [(0.127, 0.29), (0.102, 0.008), (0, 0.006)]
+    w["bin", "bin"] += lathe([*outside, *inside], 36)
     w.place("bin", 0.52, 1.32)
 
 
 def _bookcase(room: Room) -> None:
     w = room.builder
     levels = (0.09, 0.42, 0.75, 1.08, 1.41, 1.74)
-    storage.shelf_unit(
-        w, "bookcase", width=2.1, height=2.08, depth=0.29, levels=levels, columns=3, slot="bookcase"
-    )
+    storage.shelf_unit(w, "bookcase", (2.1, 0.29, 2.08), levels, columns=3, slot="bookcase")
     room.place("west", "bookcase", 0.2, gap=0.004)
     step = (2.1 - 0.022) / 3
     bay = step - 0.022
@@ -185,31 +148,12 @@ def _bookcase(room: Room) -> None:
             left = -1.05 + 0.022 + column * step
             share = (0.95, 0.62, 0.9, 0.0, 0.85, 0.5, 0.95)[(2 * k + 3 * column) % 7]
             if share:
-                storage.book_row(
-                    w,
-                    "books",
-                    slots.BOOKS,
-                    "pages",
-                    x=left + 0.005,
-                    width=share * bay,
-                    y=-0.275 + 0.19,
-                    z=z + 0.0005,
-                    height=0.3,
-                    seed=100 + 10 * k + column,
-                )
+                start, seed = (left + 0.005, -0.275 + 0.19, z + 0.0005), 100 + 10 * k + column
+                storage.book_row(w, slots.BOOKS, start, share * bay, height=0.3, seed=seed)
             free = bay * (1 - share) - (0.09 if share else 0.02)
             if free > 0.13:
-                room.surface(
-                    f"bookcase {k}.{column}",
-                    "shelf",
-                    "west",
-                    0.2 + left + bay - free / 2 - 0.012,
-                    free - 0.01,
-                    0.03,
-                    0.27,
-                    z,
-                    0.29,
-                )
+                name, s = f"bookcase {k}.{column}", 0.2 + left + bay - free / 2 - 0.012
+                room.surface(name, "shelf", "west", s, free - 0.01, 0.03, 0.27, z, 0.29)
     room.place("west", "books", 0.2, gap=0.004)
 
 

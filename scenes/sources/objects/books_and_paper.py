@@ -13,7 +13,19 @@ from scenes.sources.materials import art, natural
 from scenes.sources.materials.graph import Graph, srgb
 from scenes.sources.modelling import PartBuilder, Slot
 from scenes.sources.objects.registry import cloth, metal, painted, paper, plastic, thing, wood
-from scenes.sources.shapes import Shape, box, cylinder, grid, hoop, lathe, panel, sheet, tube, vessel
+from scenes.sources.shapes import (
+    Shape,
+    box,
+    cylinder,
+    grid,
+    hoop,
+    lathe,
+    mirrored,
+    panel,
+    sheet,
+    tube,
+    vessel,
+)
 
 _PAGES = Slot(("paper",), (), color=srgb("d8d0ba"), roughness=0.92)
 
@@ -70,18 +82,8 @@ def book_stack(w: PartBuilder) -> None:
 @thing("Books between bookends", "book", supports="shelf, table, counter", yaw=60, first=_cover("6d2b2b"), second=_cover("2b4a5e"), third=_cover("b89a52"), fourth=_cover("47503f"),
        pages=_PAGES, iron=painted("222325", 0.45))  # fmt: skip
 def book_row(w: PartBuilder) -> None:
-    storage.book_row(
-        w,
-        "books",
-        ("first", "second", "third", "fourth"),
-        "pages",
-        x=-0.12,
-        width=0.225,
-        y=0.09,
-        z=0.0,
-        height=0.28,
-        seed=19,
-    )
+    covers = ("first", "second", "third", "fourth")
+    storage.book_row(w, covers, (-0.12, 0.09, 0.0), width=0.225, height=0.28, seed=19)
     for side in (-1, 1):
         x = side * (0.122 if side < 0 else 0.126)
         w["ends", "iron"] += [
@@ -112,13 +114,7 @@ def book_open(w: PartBuilder) -> None:
             upper = np.array([(xx, y, zz) for xx, zz in outline])
             wall = grid(np.stack([lower, upper]))
             w["pages", "edge"] += wall.flipped() if flip != (side < 0) else wall
-        end = np.stack(
-            [
-                np.array([[x[-1], y, 0.003] for y in (-0.105, 0.105)]),
-                np.array([[x[-1], y, rise[-1]] for y in (-0.105, 0.105)]),
-            ]
-        )
-        wall = grid(end)
+        wall = grid(np.array([[(x[-1], y, z) for y in (-0.105, 0.105)] for z in (0.003, rise[-1])]))
         w["pages", "edge"] += wall if side > 0 else wall.flipped()
     w["cover", "cover"] += box((0.295, 0.22, 0.003), bevel=0.001)
 
@@ -236,21 +232,9 @@ def box_shoe(w: PartBuilder) -> None:
 
 @thing("Biscuit tin", "box", tin=painted("2f4f63", 0.22), rim=metal((0.75, 0.62, 0.36), 0.2))
 def box_tin(w: PartBuilder) -> None:
-    w["tin", "tin"] += lathe(
-        [
-            (0, 0),
-            (0.087, 0),
-            (0.09, 0.003),
-            (0.09, 0.06),
-            (0.0925, 0.0605),
-            (0.0925, 0.085),
-            (0.088, 0.0905),
-            (0.08, 0.0905),
-            (0.078, 0.088),
-            (0, 0.089),
-        ],
-        48,
-    )
+    sides = [(0, 0), (0.087, 0), (0.09, 0.003), (0.09, 0.06), (0.0925, 0.0605), (0.0925, 0.085)]
+    lid = [(0.088, 0.0905), (0.08, 0.0905), (0.078, 0.088), (0, 0.089)]
+    w["tin", "tin"] += lathe([*sides, *lid], 48)
     w["tin", "rim"] += [
         hoop(radius, 0.0016, z, 48, 6) for radius, z in ((0.0925, 0.061), (0.0905, 0.0895), (0.0895, 0.002))
     ]
@@ -286,16 +270,5 @@ def bag_paper(w: PartBuilder) -> None:
     w["bag", "paper"] += [sheet(closed, t), box((2 * x - 0.004, 2 * y - 0.004, t), bevel=0)]
     for side in (-1, 1):
         yy = side * y * 0.8
-        w["bag", "handle"] += tube(
-            [
-                (-0.045, yy, h - 0.03),
-                (-0.043, yy, h + 0.04),
-                (-0.025, yy * 0.9, h + 0.075),
-                (0.025, yy * 0.9, h + 0.075),
-                (0.043, yy, h + 0.04),
-                (0.045, yy, h - 0.03),
-            ],
-            0.0028,
-            8,
-            smooth=4,
-        )
+        left = [(-0.045, yy, h - 0.03), (-0.043, yy, h + 0.04), (-0.025, yy * 0.9, h + 0.075)]
+        w["bag", "handle"] += tube(mirrored(left), 0.0028, 8, smooth=4)
