@@ -17,6 +17,7 @@ from scenes.sources.shapes import (
     extrude,
     hoop,
     lathe,
+    mirrored,
     panel,
     rounded_rectangle,
     soft_box,
@@ -57,38 +58,14 @@ def radio(w: PartBuilder) -> None:
         .moved(0.077, -0.068, 0.134)
     )
     for x in (0.052, 0.102):
-        w["radio", "knob"] += (
-            lathe(
-                [
-                    (0, 0),
-                    (0.016, 0),
-                    (0.0165, 0.003),
-                    (0.014, 0.005),
-                    (0.0135, 0.016),
-                    (0.011, 0.018),
-                    (0, 0.0182),
-                ],
-                28,
-            )
-            .turned("x", 90)
-            .moved(x, -0.0685, 0.075)
-        )
+        lower = [(0, 0), (0.016, 0), (0.0165, 0.003), (0.014, 0.005)]
+        upper = [(0.0135, 0.016), (0.011, 0.018), (0, 0.0182)]
+        w["radio", "knob"] += lathe([*lower, *upper], 28).turned("x", 90).moved(x, -0.0685, 0.075)
     for x in (-0.12, 0.12):
         for y in (-0.04, 0.04):
             w["radio", "front"] += cylinder(0.009, 0.01, (x, y, 0), 0.002, 16)
-    w["radio", "knob"] += tube(
-        [
-            (-0.1, 0, 0.176),
-            (-0.1, 0, 0.2),
-            (-0.085, 0, 0.212),
-            (0.085, 0, 0.212),
-            (0.1, 0, 0.2),
-            (0.1, 0, 0.176),
-        ],
-        0.0045,
-        10,
-        smooth=3,
-    )
+    handle = mirrored([(-0.1, 0, 0.176), (-0.1, 0, 0.2), (-0.085, 0, 0.212)])
+    w["radio", "knob"] += tube(handle, 0.0045, 10, smooth=3)
 
 
 @thing(
@@ -127,12 +104,8 @@ def headphones(w: PartBuilder) -> None:
             placed = shape.moved(z=-0.02).turned("y", -turn).moved(side * 0.082, 0.0, 0.034)
             lowest = min(lowest, float(placed.points[:, 2].min()))
             w["cups", slot] += placed
-        w["cups", "steel"] += tube(
-            [(side * 0.083, 0.03, 0.034), (side * 0.09, 0.012, 0.034), (side * 0.092, 0.0, 0.034)],
-            0.004,
-            8,
-            smooth=3,
-        )
+        path = [(side * 0.083, 0.03, 0.034), (side * 0.09, 0.012, 0.034), (side * 0.092, 0.0, 0.034)]
+        w["cups", "steel"] += tube(path, 0.004, 8, smooth=3)
     w["band", "steel"] += band.moved(z=0.034).bent(leaning)
     w["band", "pads"] += pad.moved(z=0.034).bent(leaning)
 
@@ -159,19 +132,8 @@ def speaker(w: PartBuilder) -> None:
             [(r - 0.008, 0), (r, 0), (r, 0.004), (r - 0.004, 0.006), (r - 0.008, 0.003), (r - 0.008, 0)], 44
         )
         w["speaker", "ring"] += rim.turned("x", 90).moved(0, -0.1115, z)
-        cone = lathe(
-            [
-                (0, -0.012),
-                (0.3 * r, -0.008),
-                (0.32 * r, -0.014),
-                (0.72 * r, -0.002),
-                (0.8 * r, 0.004),
-                (0.9 * r, 0.001),
-                (0.92 * r, -0.004),
-                (0, -0.02),
-            ],
-            40,
-        )
+        front = [(0, -0.012), (0.3 * r, -0.008), (0.32 * r, -0.014), (0.72 * r, -0.002), (0.8 * r, 0.004)]
+        cone = lathe([*front, (0.9 * r, 0.001), (0.92 * r, -0.004), (0, -0.02)], 40)
         w["speaker", "cone"] += cone.moved(z=0.004).turned("x", 90).moved(0, -0.1115, z)
     for x in (-0.07, 0.07):
         for y in (-0.09, 0.09):
@@ -236,20 +198,9 @@ def camera(w: PartBuilder) -> None:
         extrude(outline, 0.018, 0.003, 2).moved(z=0.06),
         box((0.034, 0.034, 0.014), (-0.004, 0, 0.076), 0.005, 2),
     ]
-    lens = [
-        (0, 0),
-        (0.03, 0),
-        (0.03, 0.008),
-        (0.0275, 0.01),
-        (0.0275, 0.022),
-        (0.0295, 0.024),
-        (0.0295, 0.036),
-        (0.027, 0.038),
-        (0.024, 0.038),
-        (0.0215, 0.032),
-        (0, 0.031),
-    ]
-    w["camera", "body"] += lathe(lens, 40).turned("x", 90).moved(-0.004, -0.016, 0.037)
+    barrel = [(0, 0), (0.03, 0), (0.03, 0.008), (0.0275, 0.01), (0.0275, 0.022), (0.0295, 0.024)]
+    rim = [(0.0295, 0.036), (0.027, 0.038), (0.024, 0.038), (0.0215, 0.032), (0, 0.031)]
+    w["camera", "body"] += lathe([*barrel, *rim], 40).turned("x", 90).moved(-0.004, -0.016, 0.037)
     w["camera", "glass"] += (
         lathe([(0, 0.0365), (0.012, 0.0352), (0.021, 0.0318), (0.0213, 0.031), (0, 0.031)], 32)
         .turned("x", 90)
@@ -273,33 +224,27 @@ def camera(w: PartBuilder) -> None:
     dark=plastic("8b8779", 0.42),
 )
 def keyboard(w: PartBuilder) -> None:
-    slope = 5.0
-    w["board", "case"] += box((0.36, 0.135, 0.016), bevel=0.004, segments=2).bent(
-        lambda p: (
-            p
-            + np.column_stack(
-                [
-                    0 * p[:, 0],
-                    0 * p[:, 0],
-                    np.where(p[:, 2] > 0.006, (p[:, 1] + 0.0675) * np.tan(np.radians(slope)), 0),
-                ]
-            )
-        )
-    )
+    slope = np.tan(np.radians(5.0))
+
+    def sloping(p: np.ndarray) -> np.ndarray:
+        """Raise the upper side towards the back."""
+        rise = np.where(p[:, 2] > 0.006, (p[:, 1] + 0.0675) * slope, 0)
+        return np.column_stack([p[:, :2], p[:, 2] + rise])
+
+    w["board", "case"] += box((0.36, 0.135, 0.016), bevel=0.004, segments=2).bent(sloping)
     for row in range(5):
         for k in range(14):
             x, y = -0.162 + 0.0192 * k + 0.0048 * ((row * 7) % 3), 0.048 - 0.0212 * row
             if x > 0.105 and row != 0 and k == 13:
                 continue
-            z = 0.0155 + (y + 0.0675) * np.tan(np.radians(slope))
+            z = 0.0155 + (y + 0.0675) * slope
             slot = "dark" if k in (0, 12, 13) or (row == 0 and k % 5 == 0) else "keys"
             w["keys", slot] += box((0.0168, 0.0185, 0.0075), bevel=0.0022).moved(x, y, z)
     for k in range(3):
         for row in range(5):
             y = 0.048 - 0.0212 * row
-            w["keys", "keys"] += box((0.0168, 0.0185, 0.0075), bevel=0.0022).moved(
-                0.125 + 0.0192 * k, y, 0.0155 + (y + 0.0675) * np.tan(np.radians(slope))
-            )
+            key = box((0.0168, 0.0185, 0.0075), bevel=0.0022)
+            w["keys", "keys"] += key.moved(0.125 + 0.0192 * k, y, 0.0155 + (y + 0.0675) * slope)
 
 
 @thing(
@@ -313,18 +258,11 @@ def keyboard(w: PartBuilder) -> None:
 def game_controller(w: PartBuilder) -> None:
     w["pad", "body"] += soft_box((0.145, 0.07, 0.03), (0, 0.01, 0.016), 0.014, (0, 0.002, 0.004), 8)
     for side in (-1, 1):
-        w["pad", "body"] += tube(
-            [(side * 0.055, 0.012, 0.03), (side * 0.066, -0.02, 0.027), (side * 0.07, -0.052, 0.018)],
-            [0.0185, 0.0185, 0.0145],
-            18,
-            smooth=4,
-        )
-        w["pad", "dark"] += [
-            cylinder(0.0085, 0.012, (side * 0.027, -0.012, 0.045), 0.001, 20),
-            lathe([(0, 0), (0.012, 0), (0.0125, 0.003), (0.009, 0.004), (0, 0.0028)], 24).moved(
-                side * 0.027, -0.012, 0.056
-            ),
-        ]
+        path = [(side * 0.055, 0.012, 0.03), (side * 0.066, -0.02, 0.027), (side * 0.07, -0.052, 0.018)]
+        w["pad", "body"] += tube(path, [0.0185, 0.0185, 0.0145], 18, smooth=4)
+        cap = lathe([(0, 0), (0.012, 0), (0.0125, 0.003), (0.009, 0.004), (0, 0.0028)], 24)
+        w["pad", "dark"] += cylinder(0.0085, 0.012, (side * 0.027, -0.012, 0.045), 0.001, 20)
+        w["pad", "dark"] += cap.moved(side * 0.027, -0.012, 0.056)
         w["pad", "dark"] += soft_box((0.036, 0.016, 0.029), (side * 0.05, 0.044, 0.0035), 0.005, (0, 0, 0), 6)
     for dx, dy, slot in ((0, 0.012, "blue"), (0, -0.012, "blue"), (0.012, 0, "red"), (-0.012, 0, "red")):
         w["pad", slot] += cylinder(0.0048, 0.005, (0.053 + dx, 0.02 + dy, 0.047), 0.0012, 16)

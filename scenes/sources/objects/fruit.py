@@ -57,35 +57,18 @@ def unit(shape: Shape) -> Shape:
 
 def apple_shapes(size: float = 0.037) -> tuple[Shape, Shape]:
     """The fruit and stalk of an apple on z = 0."""
-    profile = [
-        (0, 0.22),
-        (0.2, 0.06),
-        (0.42, 0.0),
-        (0.66, 0.14),
-        (0.92, 0.6),
-        (1.0, 1.05),
-        (0.9, 1.5),
-        (0.6, 1.76),
-        (0.32, 1.74),
-        (0.12, 1.55),
-        (0, 1.45),
-    ]
-    body = lathe(np.array(profile) * size, 32, smooth=3)
-    lumps = body.bent(
-        lambda p: (
-            p
-            * (1 + 0.025 * np.cos(5 * np.arctan2(p[:, 1], p[:, 0])) * np.clip(p[:, 2] / size, 0.2, 1))[
-                :, None
-            ]
-        )
-    )
+    lower = [(0, 0.22), (0.2, 0.06), (0.42, 0.0), (0.66, 0.14), (0.92, 0.6), (1.0, 1.05)]
+    upper = [(0.9, 1.5), (0.6, 1.76), (0.32, 1.74), (0.12, 1.55), (0, 1.45)]
+    body = lathe(np.array([*lower, *upper]) * size, 32, smooth=3)
+
+    def lumpy(p: np.ndarray) -> np.ndarray:
+        wave = np.cos(5 * np.arctan2(p[:, 1], p[:, 0]))
+        return p * (1 + 0.025 * wave * np.clip(p[:, 2] / size, 0.2, 1))[:, None]
+
+    lumps = body.bent(lumpy)
     lumps = lumps.moved(z=-lumps.points[:, 2].min())
-    stalk = tube(
-        [(0, 0, 1.4 * size), (0.004, 0, 1.75 * size), (0.012, 0.002, 2.05 * size)],
-        [0.0012, 0.001, 0.0016],
-        6,
-        smooth=2,
-    )
+    stalk_path = [(0, 0, 1.4 * size), (0.004, 0, 1.75 * size), (0.012, 0.002, 2.05 * size)]
+    stalk = tube(stalk_path, [0.0012, 0.001, 0.0016], 6, smooth=2)
     return unit(lumps), stalk
 
 
@@ -98,21 +81,9 @@ def apple(w: PartBuilder) -> None:
 
 def pear_shape(segments: int) -> Shape:
     """A straight pear on z = 0, about the z axis."""
-    return lathe(
-        [
-            (0, 0.004),
-            (0.012, 0.0),
-            (0.024, 0.005),
-            (0.0345, 0.025),
-            (0.033, 0.045),
-            (0.024, 0.066),
-            (0.0175, 0.084),
-            (0.012, 0.094),
-            (0, 0.096),
-        ],
-        segments,
-        smooth=3,
-    )
+    lower = [(0, 0.004), (0.012, 0.0), (0.024, 0.005), (0.0345, 0.025), (0.033, 0.045)]
+    upper = [(0.024, 0.066), (0.0175, 0.084), (0.012, 0.094), (0, 0.096)]
+    return lathe([*lower, *upper], segments, smooth=3)
 
 
 @thing("Pear", "fruit", skin=organic("9aa03c", 0.42), stalk=organic("4a3521", 0.8))
@@ -120,33 +91,16 @@ def pear(w: PartBuilder) -> None:
     w["pear", "skin"] += pear_shape(32).bent(
         lambda p: p + np.column_stack([0.005 * (p[:, 2] / 0.1) ** 2, 0 * p[:, 2], 0 * p[:, 2]])
     )
-    w["pear", "stalk"] += tube(
-        [(0.004, 0, 0.093), (0.007, 0, 0.105), (0.014, 0.002, 0.115)],
-        [0.0014, 0.0012, 0.0018],
-        6,
-        smooth=2,
-    )
+    path = [(0.004, 0, 0.093), (0.007, 0, 0.105), (0.014, 0.002, 0.115)]
+    w["pear", "stalk"] += tube(path, [0.0014, 0.0012, 0.0018], 6, smooth=2)
 
 
 @thing("Lemons", "fruit", skin=organic("d9b823", 0.4))
 def lemons(w: PartBuilder) -> None:
     for angle, x, y in ((15, 0.0, 0.0), (105, 0.062, 0.018), (-40, -0.012, 0.066)):
-        body = lathe(
-            [
-                (0, -0.046),
-                (0.005, -0.0435),
-                (0.009, -0.037),
-                (0.021, -0.027),
-                (0.0285, -0.01),
-                (0.0285, 0.01),
-                (0.022, 0.026),
-                (0.011, 0.035),
-                (0.007, 0.041),
-                (0, 0.044),
-            ],
-            28,
-            smooth=3,
-        )
+        lower = [(0, -0.046), (0.005, -0.0435), (0.009, -0.037), (0.021, -0.027), (0.0285, -0.01)]
+        upper = [(0.0285, 0.01), (0.022, 0.026), (0.011, 0.035), (0.007, 0.041), (0, 0.044)]
+        body = lathe([*lower, *upper], 28, smooth=3)
         body = body.turned("y", 90).turned("z", angle)
         w["lemons", "skin"] += body.moved(x, y, -body.points[:, 2].min())
 

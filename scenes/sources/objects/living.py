@@ -63,23 +63,9 @@ def cushion_stripe(w: PartBuilder) -> None:
     button=cloth("6b2f18"),
 )
 def cushion_round(w: PartBuilder) -> None:
-    body = lathe(
-        [
-            (0, 0.012),
-            (0.03, 0.002),
-            (0.1, 0.0),
-            (0.17, 0.012),
-            (0.196, 0.045),
-            (0.19, 0.085),
-            (0.15, 0.108),
-            (0.08, 0.112),
-            (0.03, 0.1),
-            (0.012, 0.086),
-            (0, 0.084),
-        ],
-        64,
-        smooth=4,
-    )
+    lower = [(0, 0.012), (0.03, 0.002), (0.1, 0.0), (0.17, 0.012), (0.196, 0.045)]
+    upper = [(0.19, 0.085), (0.15, 0.108), (0.08, 0.112), (0.03, 0.1), (0.012, 0.086), (0, 0.084)]
+    body = lathe([*lower, *upper], 64, smooth=4)
 
     def pleats(p: np.ndarray) -> np.ndarray:
         q, a = p.copy(), np.arctan2(p[:, 1], p[:, 0])
@@ -93,20 +79,9 @@ def cushion_round(w: PartBuilder) -> None:
 
 @thing("Bolster", "cushion", supports=SEAT, cover=leather("leather_tan"))
 def cushion_bolster(w: PartBuilder) -> None:
-    roll = lathe(
-        [
-            (0, 0),
-            (0.05, 0.0),
-            (0.082, 0.008),
-            (0.09, 0.025),
-            (0.092, 0.23),
-            (0.09, 0.435),
-            (0.082, 0.452),
-            (0.05, 0.46),
-            (0, 0.46),
-        ],
-        40,
-    )
+    lower = [(0, 0), (0.05, 0.0), (0.082, 0.008), (0.09, 0.025), (0.092, 0.23)]
+    upper = [(0.09, 0.435), (0.082, 0.452), (0.05, 0.46), (0, 0.46)]
+    roll = lathe([*lower, *upper], 40)
     roll = roll.turned("y", 90).moved(-0.23, 0, 0.088)
 
     def resting(p: np.ndarray) -> np.ndarray:
@@ -174,23 +149,10 @@ def plant_snake(w: PartBuilder) -> None:
 
 
 def _pot(w: PartBuilder, r: float, h: float) -> None:
-    w["pot", "pot"] += lathe(
-        [
-            (0, 0),
-            (0.72 * r, 0),
-            (0.75 * r, 0.003),
-            (0.94 * r, 0.78 * h),
-            (r, 0.785 * h),
-            (1.02 * r, 0.8 * h),
-            (1.02 * r, 0.985 * h),
-            (r, h),
-            (0.93 * r, h),
-            (0.9 * r, 0.9 * h),
-            (0.86 * r, 0.8 * h),
-            (0, 0.8 * h),
-        ],
-        36,
-    )
+    outside = [(0, 0), (0.72 * r, 0), (0.75 * r, 0.003), (0.94 * r, 0.78 * h), (r, 0.785 * h)]
+    rim = [(1.02 * r, 0.8 * h), (1.02 * r, 0.985 * h), (r, h), (0.93 * r, h)]
+    inside = [(0.9 * r, 0.9 * h), (0.86 * r, 0.8 * h), (0, 0.8 * h)]
+    w["pot", "pot"] += lathe([*outside, *rim, *inside], 36)
     w["pot", "soil"] += lathe([(0.885 * r, 0.84 * h), (0.5 * r, 0.87 * h), (0, 0.86 * h)], 24)
 
 

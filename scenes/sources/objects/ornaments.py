@@ -59,12 +59,8 @@ def candle_bowl(w: PartBuilder) -> None:
 @thing("Knot", "statuette", body=stone("marble_black"), plinth=wood("ebony"))
 def statuette_knot(w: PartBuilder) -> None:
     t = np.linspace(0, 2 * np.pi, 120, endpoint=False)
-    knot = (
-        np.stack(
-            [np.sin(t) + 2 * np.sin(2 * t), -np.sin(3 * t) * 0.9, np.cos(t) - 2 * np.cos(2 * t)], axis=-1
-        )
-        * 0.03
-    )
+    x, y, z = np.sin(t) + 2 * np.sin(2 * t), -np.sin(3 * t) * 0.9, np.cos(t) - 2 * np.cos(2 * t)
+    knot = np.stack([x, y, z], axis=-1) * 0.03
     knot[:, 2] -= knot[:, 2].min() - 0.05
     w["knot", "body"] += tube(knot, 0.0165, 14, closed=True)
     w["plinth", "plinth"] += [
@@ -75,20 +71,10 @@ def statuette_knot(w: PartBuilder) -> None:
 
 @thing("Bird", "statuette", body=clay("e2ddd2", 0.55), beak=metal((0.86, 0.70, 0.38), 0.3))
 def statuette_bird(w: PartBuilder) -> None:
-    spine = np.array(
-        [
-            [-0.075, 0.047],
-            [-0.05, 0.046],
-            [-0.02, 0.044],
-            [0.012, 0.048],
-            [0.034, 0.064],
-            [0.047, 0.08],
-            [0.058, 0.084],
-            [0.064, 0.083],
-        ]
-    )
+    x = np.array([-0.075, -0.05, -0.02, 0.012, 0.034, 0.047, 0.058, 0.064])
+    z = np.array([0.047, 0.046, 0.044, 0.048, 0.064, 0.08, 0.084, 0.083])
     radius = np.array([0.004, 0.012, 0.03, 0.036, 0.028, 0.021, 0.016, 0.004])
-    path = np.column_stack([spine[:, 0], np.zeros(8), spine[:, 1]])
+    path = np.column_stack([x, np.zeros(8), z])
     bird = tube(path, radius, 24, smooth=5)
     w["bird", "body"] += bird.bent(
         lambda p: np.column_stack([p[:, 0], p[:, 1] * 0.86, np.maximum(p[:, 2], 0.0125)])

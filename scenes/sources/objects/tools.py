@@ -15,7 +15,7 @@ from scenes.sources.objects.registry import (
     thing,
     wood_tone,
 )
-from scenes.sources.shapes import Shape, box, cylinder, extrude, lathe, loft, tube
+from scenes.sources.shapes import Shape, box, cylinder, extrude, lathe, loft, mirrored, tube
 
 BENCH = "table, counter, shelf, floor"
 
@@ -34,19 +34,9 @@ def _lying(shape: Shape, z: float) -> Shape:
 )
 def hammer(w: PartBuilder) -> None:
     z = 0.0142
-    handle = lathe(
-        [
-            (0, 0),
-            (0.0125, 0.002),
-            (0.0145, 0.02),
-            (0.0138, 0.09),
-            (0.0105, 0.16),
-            (0.0095, 0.24),
-            (0.0105, 0.285),
-            (0, 0.286),
-        ],
-        20,
-    ).scaled(1, 0.8, 1)
+    lower = [(0, 0), (0.0125, 0.002), (0.0145, 0.02), (0.0138, 0.09)]
+    upper = [(0.0105, 0.16), (0.0095, 0.24), (0.0105, 0.285), (0, 0.286)]
+    handle = lathe([*lower, *upper], 20).scaled(1, 0.8, 1)
     w["hammer", "wood"] += _lying(handle, z).moved(x=-0.14).uv_turned()
     face = lathe(
         [(0, 0), (0.0125, 0), (0.0138, 0.002), (0.0138, 0.014), (0.0105, 0.02), (0.0115, 0.034), (0, 0.036)],
@@ -57,16 +47,9 @@ def hammer(w: PartBuilder) -> None:
         box((0.027, 0.034, 0.025), (0.13, 0.012, z - 0.0125), 0.004, 2),
     ]
     for side in (-1, 1):
-        w["hammer", "steel"] += tube(
-            [
-                (0.13 + 0.005 * side, 0.002, z),
-                (0.13 + 0.008 * side, -0.03, z + 0.003),
-                (0.13 + 0.009 * side, -0.058, z - 0.005),
-            ],
-            [0.009, 0.006, 0.0025],
-            10,
-            smooth=3,
-        )
+        claw = ((0.005, 0.002, 0.0), (0.008, -0.03, 0.003), (0.009, -0.058, -0.005))
+        path = [(0.13 + dx * side, y, z + dz) for dx, y, dz in claw]
+        w["hammer", "steel"] += tube(path, [0.009, 0.006, 0.0025], 10, smooth=3)
 
 
 @thing(
@@ -78,21 +61,9 @@ def hammer(w: PartBuilder) -> None:
     collar=rubber(),
 )
 def screwdriver(w: PartBuilder) -> None:
-    grip = lathe(
-        [
-            (0, 0),
-            (0.009, 0.001),
-            (0.0145, 0.008),
-            (0.015, 0.03),
-            (0.0125, 0.06),
-            (0.0145, 0.085),
-            (0.013, 0.098),
-            (0.008, 0.104),
-            (0, 0.104),
-        ],
-        48,
-        smooth=2,
-    )
+    lower = [(0, 0), (0.009, 0.001), (0.0145, 0.008), (0.015, 0.03), (0.0125, 0.06)]
+    upper = [(0.0145, 0.085), (0.013, 0.098), (0.008, 0.104), (0, 0.104)]
+    grip = lathe([*lower, *upper], 48, smooth=2)
     flutes = grip.bent(
         lambda p: np.column_stack(
             [p[:, :2] * (1 + 0.06 * np.cos(6 * np.arctan2(p[:, 1], p[:, 0])))[:, None], p[:, 2]]
@@ -111,28 +82,12 @@ def screwdriver(w: PartBuilder) -> None:
 @thing("Pliers", "tool", supports=BENCH, steel=metal((0.5, 0.5, 0.5), 0.3), grip=rubber("2b4f86", 0.55))
 def pliers(w: PartBuilder) -> None:
     for side in (-1, 1):
-        w["pliers", "steel"] += tube(
-            [
-                (0.0, 0.004 * side, 0.009),
-                (0.03, 0.0095 * side, 0.009),
-                (0.052, 0.0055 * side, 0.009),
-                (0.072, 0.003 * side, 0.009),
-            ],
-            [0.0085, 0.008, 0.0055, 0.0026],
-            12,
-            smooth=4,
-        )
-        w["pliers", "grip"] += tube(
-            [
-                (-0.02, -0.0085 * side, 0.0085),
-                (-0.05, -0.021 * side, 0.0085),
-                (-0.09, -0.025 * side, 0.0085),
-                (-0.13, -0.019 * side, 0.0085),
-            ],
-            [0.0065, 0.0078, 0.008, 0.007],
-            12,
-            smooth=4,
-        )
+        jaw = ((0.0, 0.004), (0.03, 0.0095), (0.052, 0.0055), (0.072, 0.003))
+        path = [(x, y * side, 0.009) for x, y in jaw]
+        w["pliers", "steel"] += tube(path, [0.0085, 0.008, 0.0055, 0.0026], 12, smooth=4)
+        handle = ((-0.02, -0.0085), (-0.05, -0.021), (-0.09, -0.025), (-0.13, -0.019))
+        path = [(x, y * side, 0.0085) for x, y in handle]
+        w["pliers", "grip"] += tube(path, [0.0065, 0.0078, 0.008, 0.007], 12, smooth=4)
     w["pliers", "steel"] += [
         cylinder(0.0155, 0.013, (0.002, 0, 0.0028), 0.002, 28),
         cylinder(0.005, 0.0165, (0.002, 0, 0.001), 0.001, 16),
@@ -159,19 +114,8 @@ def toolbox(w: PartBuilder) -> None:
             box((0.022, 0.008, 0.016), (x, -0.106, 0.118), 0.003, 2),
         ]
         w["box", "latch"] += box((0.016, 0.03, 0.012), (x * 0.62, 0, 0.1925), 0.002)
-    w["box", "grip"] += tube(
-        [
-            (-0.075, 0, 0.203),
-            (-0.07, 0, 0.222),
-            (-0.045, 0, 0.232),
-            (0.045, 0, 0.232),
-            (0.07, 0, 0.222),
-            (0.075, 0, 0.203),
-        ],
-        0.0085,
-        12,
-        smooth=4,
-    )
+    handle = mirrored([(-0.075, 0, 0.203), (-0.07, 0, 0.222), (-0.045, 0, 0.232)])
+    w["box", "grip"] += tube(handle, 0.0085, 12, smooth=4)
 
 
 @thing(
@@ -233,15 +177,8 @@ def paint_brush(w: PartBuilder) -> None:
     blade=Slot(("metal",), ("metal",), color=(0.8, 0.7, 0.2), roughness=0.3, metallic=1.0),
 )
 def tape_measure(w: PartBuilder) -> None:
-    outline = [
-        (-0.034, 0.0),
-        (0.036, 0.0),
-        (0.036, 0.02),
-        (0.03, 0.046),
-        (0.012, 0.062),
-        (-0.014, 0.062),
-        (-0.032, 0.045),
-    ]
+    right, left = [(0.036, 0.0), (0.036, 0.02), (0.03, 0.046)], [(-0.014, 0.062), (-0.032, 0.045)]
+    outline = [(-0.034, 0.0), *right, (0.012, 0.062), *left]
     w["tape", "case"] += extrude(outline, 0.034, 0.005, 3).turned("x", 90).moved(0, 0.017, 0)
     for side in (-1, 1):
         w["tape", "grip"] += (
