@@ -115,6 +115,5 @@ def _of_faces(scene: WorldScene, assigned: tuple[dict[str, MeanMaterial], ...]) 
         np.array([(max(w[p.material].specular_albedo), w[p.material].roughness) for p in g.asset.parts])
         for g, w in zip(scene.geometries, assigned, strict=True)
     ]
-    starts = np.cumsum([0] + [len(table) for table in tables[:-1]])
-    found = np.concatenate(tables)[starts[scene.item_of_face] + scene.part_of_face]
+    found = scene.rows_of_faces(tables)
     return found[:, 0], found[:, 1]

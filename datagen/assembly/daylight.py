@@ -7,9 +7,8 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from datagen.assembly.geometry import Floats, RayScene
+from datagen.assembly.geometry import Floats, RayScene, direction_of
 from datagen.assembly.light_probe import EnvironmentMap
 from datagen.formats.asset import Opening
 from datagen.formats.lights import DirectionalLight, EnvironmentLight, SkyLight
@@ -31,14 +30,8 @@ def directions_of_table(rows: int = _TABLE_ROWS, columns: int = _TABLE_COLUMNS) 
     polar = (np.arange(rows) + 0.5) / rows * math.pi
     azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * math.pi
     sine = np.sin(polar)[:, None]
-    return np.stack(
-        [
-            sine * np.sin(azimuth),
-            sine * np.cos(azimuth),
-            np.broadcast_to(np.cos(polar)[:, None], (rows, columns)),
-        ],
-        axis=-1,
-    )
+    up = np.broadcast_to(np.cos(polar)[:, None], (rows, columns))
+    return np.stack([sine * np.sin(azimuth), sine * np.cos(azimuth), up], axis=-1)
 
 
 def lookup(table: Floats) -> EnvironmentMap:
@@ -193,14 +186,4 @@ def draw_sun_direction(
             if not rays.occluded(target[None], direction[None], np.inf)[0]:
                 return np.round(direction, 6), True
     azimuth, elevation = draws.uniform(-math.pi, math.pi), draws.uniform(*SUN_ELEVATION_RAD)
-    flat = math.cos(elevation)
-    direction = np.array([flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)])
-    return np.round(direction, 6), False
-
-
-def rotation_about_up(angle_rad: float) -> NDArray[np.float64]:
-    """Homogeneous matrix (4, 4) of a rotation about +Z."""
-    matrix = np.eye(4)
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
-    matrix[:2, :2] = [[c, -s], [s, c]]
-    return matrix
+    return np.round(direction_of(azimuth, elevation), 6), False

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from datagen.assembly.geometry import Floats, RayScene
+from datagen.assembly.geometry import Floats, RayScene, direction_of
 from datagen.assembly.things import above_supports, fibonacci_sphere, has_consistent_winding
 from datagen.formats.asset import EnvironmentAsset
 from datagen.foundation.errors import input_error
@@ -37,13 +37,8 @@ class FreeSpace:
         """Raise :class:`InputError` if there are neither regions nor cameras, or all regions are too low."""
         where = f"environment {self.environment.id}"
         if not self.environment.camera_regions and not self.environment.cameras:
-            raise input_error(
-                where,
-                "camera_regions",
-                "none, and no cameras",
-                "a camera region or a camera",
-                "add one to the room's asset.json",
-            )
+            expected, remedy = "a camera region or a camera", "add one to the room's asset.json"
+            raise input_error(where, "camera_regions", "none, and no cameras", expected, remedy)
         if self.environment.camera_regions and not self._regions:
             spans = [f"{r.minimum_m[2]:g} to {r.maximum_m[2]:g} m" for r in self.environment.camera_regions]
             raise input_error(
@@ -75,9 +70,7 @@ class FreeSpace:
         camera = draws.choice(self.environment.cameras)
         start = np.array(camera.asset_from_camera)[:3, 3]
         angle, tilt = draws.uniform(-math.pi, math.pi), draws.uniform(-0.25, 0.25)
-        direction = np.array(
-            [math.cos(angle) * math.cos(tilt), math.sin(angle) * math.cos(tilt), math.sin(tilt)]
-        )
+        direction = direction_of(angle, tilt)
         reach = min(float(self.rays.cast(start, direction[None]).distance_m[0]), _REACH_M)
         position = start + 0.9 * draws.unit() * reach * direction
         height = draws.uniform(*self.height_m)

@@ -8,6 +8,7 @@ depends on a Mitsuba variant, so plans are equal on machines with and without a 
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
@@ -176,16 +177,10 @@ def _sound_mesh(package: Package, name: str) -> Mesh:
     where = f"{package.path}/{name}"
     mesh = decode_ply(package.read_bytes(name), where)
     is_finite = bool(np.isfinite(mesh.positions).all())
-    bounded = len(mesh.faces) == 0 or bool(
-        (mesh.faces >= 0).all() and (mesh.faces < len(mesh.positions)).all()
-    )
+    bounded = bool((mesh.faces >= 0).all() and (mesh.faces < len(mesh.positions)).all())
     if len(mesh.faces) == 0 or not is_finite or not bounded or not (mesh.areas() > 0).any():
-        raise input_error(
-            where,
-            got=str(inspect_mesh(mesh)),
-            expected="a mesh with finite triangles",
-            remedy="re-export the asset",
-        )
+        got, expected = str(inspect_mesh(mesh)), "a mesh with finite triangles"
+        raise input_error(where, got=got, expected=expected, remedy="re-export the asset")
     return mesh
 
 
@@ -254,6 +249,12 @@ def distance_m(one: Any, other: Any) -> float:
     return float(fcl.distance(one, other, fcl.DistanceRequest(), fcl.DistanceResult()))
 
 
+def direction_of(azimuth_rad: float, elevation_rad: float) -> Floats:
+    """Unit direction (3,) with an azimuth from +X towards +Y and an elevation above the horizon."""
+    flat = math.cos(elevation_rad)
+    return np.array([flat * math.cos(azimuth_rad), flat * math.sin(azimuth_rad), math.sin(elevation_rad)])
+
+
 def world_points(world_from_asset: ArrayLike, points: Floats) -> Floats:
     """Points (N, 3) transformed by an affine matrix (4, 4)."""
     matrix = np.asarray(world_from_asset, dtype=np.float64)
@@ -286,3 +287,8 @@ class WorldScene:
         self.instance_of_face = np.where(
             self.item_of_face == 0, self.part_of_face, self.num_environment_parts + self.item_of_face - 1
         )
+
+    def rows_of_faces(self, tables: list[Floats]) -> Floats:
+        """Rows (M, ...) of the triangles in ``tables``, one per item, with a row per part of its asset."""
+        starts = np.cumsum([0] + [len(table) for table in tables[:-1]])
+        return np.concatenate(tables)[starts[self.item_of_face] + self.part_of_face]

@@ -103,12 +103,8 @@ def light_room(
     ]
     seen = np.einsum("pgc,g->c", irradiance, np.array(gains))
     tint = NO_TINT if recipe.panoramas is None else tint_of_lamps(seen)
-    lights = [
-        scaled(light, g, tint)
-        for group, g in zip(groups, gains, strict=True)
-        if g > 0
-        for light in group.lights
-    ]
+    lit = [(group, g) for group, g in zip(groups, gains, strict=True) if g > 0]
+    lights = [scaled(light, g, tint) for group, g in lit for light in group.lights]
     emission = _emission(room, groups, gains, tint)
     return Lighting(_named(lights), emission, probe, tuple(gains), float(np.dot(gains, arriving)))
 
@@ -193,5 +189,4 @@ def _albedo_of_faces(room: RoomToLight) -> Floats:
             specular = np.array(assigned[part.material].specular_albedo)
             rows.append(np.minimum(diffuse * (1 - specular) + specular, 0.95))
         tables.append(np.array(rows))
-    starts = np.cumsum([0] + [len(t) for t in tables[:-1]])
-    return np.concatenate(tables)[starts[room.scene.item_of_face] + room.scene.part_of_face]
+    return room.scene.rows_of_faces(tables)

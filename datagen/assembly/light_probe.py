@@ -167,11 +167,8 @@ class LightProbe:
         probability = np.diff(power, prepend=0.0)[chosen] / power[-1]
         root = np.sqrt(u[:, 1:2])
         corners = self.rays.corners[emitters.faces[chosen]]
-        on_light = (
-            (1 - root) * corners[:, 0]
-            + root * (1 - u[:, 2:3]) * corners[:, 1]
-            + root * u[:, 2:3] * corners[:, 2]
-        )
+        shares = 1 - root, root * (1 - u[:, 2:3]), root * u[:, 2:3]
+        on_light = shares[0] * corners[:, 0] + shares[1] * corners[:, 1] + shares[2] * corners[:, 2]
         normals = self.rays.normals[emitters.faces[chosen]]
         radiance = emitters.radiance[chosen] * (area[chosen] / np.maximum(probability, 1e-300))[:, None]
         return _from_surface(points, on_light + _OFFSET_M * normals, normals, radiance)
@@ -180,10 +177,8 @@ class LightProbe:
         areas = np.cumsum([o.area for o in self.openings])
         u = draws.units(len(points), 3)
         chosen = np.minimum(np.searchsorted(areas, u[:, 0] * areas[-1], side="right"), len(self.openings) - 1)
-        origin = np.array([o.origin for o in self.openings])[chosen]
-        edge_u = np.array([o.u for o in self.openings])[chosen]
-        edge_v = np.array([o.v for o in self.openings])[chosen]
-        normal = np.array([o.normal for o in self.openings])[chosen]
+        frames = np.array([(o.origin, o.u, o.v, o.normal) for o in self.openings])[chosen]
+        origin, edge_u, edge_v, normal = frames.transpose(1, 0, 2)
         on_opening = origin + u[:, 1:2] * edge_u + u[:, 2:3] * edge_v
         sample = _from_surface(points, on_opening, normal, np.full((len(points), 3), areas[-1]))
         radiance = sky(sample.directions)
@@ -220,6 +215,11 @@ class Rectangle:
         cross = np.cross(u, v)
         area = float(np.linalg.norm(cross))
         return cls(np.array(opening.origin_m), u, v, cross / area, area)
+
+    @property
+    def middle(self) -> Floats:
+        """Centre (3,) of the rectangle."""
+        return self.origin + 0.5 * (self.u + self.v)
 
     def is_crossed(
         self, origins: Floats, directions: Floats, limit_m: Floats | float = np.inf
@@ -268,15 +268,13 @@ def _sample_light(light: Light, points: Floats, draws: Draws) -> _Sample:
         return _Sample(directions, np.full(count, np.inf), np.repeat([light.irradiance], count, axis=0))
     u = draws.units(count, 2)
     if isinstance(light, AreaLight):
-        edge_u, edge_v = np.array(light.edge_u_m), np.array(light.edge_v_m)
-        cross = np.cross(edge_u, edge_v)
-        area = float(np.linalg.norm(cross))
+        side = Rectangle.of(light)
         if light.shape == "disk":
             radius, angle = 0.5 * np.sqrt(u[:, 0]), 2 * math.pi * u[:, 1]
             u = 0.5 + np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-        on_light = np.array(light.origin_m) + u[:, :1] * edge_u + u[:, 1:] * edge_v
-        normals = np.repeat((cross / area)[None], count, axis=0)
-        total_area = area * (math.pi / 4 if light.shape == "disk" else 1.0)
+        on_light = side.origin + u[:, :1] * side.u + u[:, 1:] * side.v
+        normals = np.repeat(side.normal[None], count, axis=0)
+        total_area = side.area * (math.pi / 4 if light.shape == "disk" else 1.0)
         return _from_surface(points, on_light, normals, np.array(light.radiance)[None] * total_area)
     assert isinstance(light, SphereLight)
     normals = draws.sphere(count)

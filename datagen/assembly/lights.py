@@ -16,7 +16,7 @@ import numpy as np
 
 from datagen.assembly.daylight import draw_sun_direction, environment_image
 from datagen.assembly.geometry import Floats, RayScene, WorldScene
-from datagen.assembly.light_probe import is_from_outside
+from datagen.assembly.light_probe import Rectangle, is_from_outside
 from datagen.assembly.materials import MeanMaterial
 from datagen.assembly.panoramas import DARK, OUTSIDE_SHARE, draw_daytime, draw_panorama, turned_image
 from datagen.assembly.things import fibonacci_sphere
@@ -130,19 +130,13 @@ def _without_overlap(
 
 def _overlap(one: AreaLight, other: AreaLight) -> bool:
     """Whether two area lights are coplanar within 2 cm and overlap."""
-    origin, u, v = (np.array(a) for a in (other.origin_m, other.edge_u_m, other.edge_v_m))
-    normal = np.cross(u, v)
-    normal /= np.linalg.norm(normal)
-    middle, half_u, half_v = (
-        np.array(one.origin_m) + 0.5 * (np.array(one.edge_u_m) + np.array(one.edge_v_m)) - origin,
-        0.5 * np.array(one.edge_u_m),
-        0.5 * np.array(one.edge_v_m),
-    )
-    if abs(float(middle @ normal)) > 0.02:
+    side, own = Rectangle.of(other), Rectangle.of(one)
+    middle = own.middle - side.origin
+    if abs(float(middle @ side.normal)) > 0.02:
         return False
-    for edge in (u, v):
+    for edge in (side.u, side.v):
         length = float(np.linalg.norm(edge))
-        reach = (abs(float(half_u @ edge)) + abs(float(half_v @ edge))) / length
+        reach = (abs(float(0.5 * own.u @ edge)) + abs(float(0.5 * own.v @ edge))) / length
         if not -reach < float(middle @ edge) / length < length + reach:
             return False
     return True
@@ -208,12 +202,11 @@ def _vector(value: Floats) -> tuple[float, float, float]:
 
 def is_blocked(light: AreaLight, rays: RayScene) -> bool:
     """Whether geometry intersects an area light, or is within 15 cm in front of over a quarter of it."""
-    origin, u, v = (np.array(a) for a in (light.origin_m, light.edge_u_m, light.edge_v_m))
-    normal = np.cross(u, v)
-    normal /= np.linalg.norm(normal)
+    side = Rectangle.of(light)
+    u, v, normal = side.u, side.v, side.normal
     steps = (np.arange(4) + 0.5) / 4
     s, t = (a.ravel() for a in np.meshgrid(steps, steps))
-    lifted = origin + 1e-3 * normal
+    lifted = side.origin + 1e-3 * normal
     in_front = lifted + s[:, None] * u + t[:, None] * v
     near = rays.occluded(in_front, np.repeat(normal[None], 16, axis=0), 3 * _MIN_LIGHT_CLEARANCE_M)
     if near.mean() > 0.25:
@@ -257,10 +250,8 @@ def plan_panels(
 
 def _near(one: AreaLight, other: Light) -> bool:
     assert isinstance(other, AreaLight)
-    middles = [
-        np.array(a.origin_m) + 0.5 * (np.array(a.edge_u_m) + np.array(a.edge_v_m)) for a in (one, other)
-    ]
-    return float(np.linalg.norm(middles[0] - middles[1])) < 1.2 * _PANEL_SIDE_M[1]
+    apart = Rectangle.of(one).middle - Rectangle.of(other).middle
+    return float(np.linalg.norm(apart)) < 1.2 * _PANEL_SIDE_M[1]
 
 
 def _point(

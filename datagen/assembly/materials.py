@@ -11,7 +11,7 @@ from __future__ import annotations
 import colorsys
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ from datagen.foundation.images import read_image
 from datagen.foundation.random import Draws, weighted_item
 from datagen.library import Library
 
+Color = tuple[float, float, float]
 _MAX_SIDE_TEXELS = 512  # for their mean, textures are subsampled to less than twice this size
 
 
@@ -79,37 +80,33 @@ Ranges of R cover the finishes of a class (a glaze is never matt, plaster never 
 class MeanMaterial:
     """Averages of a material over its textures: D, S, R in [0, 1], and emitted radiance in W/(m² sr)."""
 
-    diffuse_albedo: tuple[float, float, float]
-    specular_albedo: tuple[float, float, float]
+    diffuse_albedo: Color
+    specular_albedo: Color
     roughness: float
-    emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    emission: Color = (0.0, 0.0, 0.0)
 
 
 class MeanMaterials:
     """Computes averages of materials; those of textures are cached."""
 
     def __init__(self) -> None:
-        self._means: dict[tuple[str, str, bool], tuple[float, float, float]] = {}
+        self._means: dict[tuple[str, str, bool], Color] = {}
 
     def mean(self, package: Package, material: Material) -> MeanMaterial:
         """Averages of a material of a package, before any adjustment."""
+
+        def color(value: Color | Texture) -> Color:
+            return self._texture(package, value, False) if isinstance(value, Texture) else value
+
+        rough = material.roughness
         return MeanMaterial(
-            self._color(package, material.diffuse_albedo),
-            self._color(package, material.specular_albedo),
-            self._channel(package, material.roughness, True)[0],
+            color(material.diffuse_albedo),
+            color(material.specular_albedo),
+            self._texture(package, rough, True)[0] if isinstance(rough, Texture) else rough,
             material.emission or (0.0, 0.0, 0.0),
         )
 
-    def _color(
-        self, package: Package, value: tuple[float, float, float] | Texture
-    ) -> tuple[float, float, float]:
-        return self._channel(package, value, False) if isinstance(value, Texture) else value
-
-    def _channel(
-        self, package: Package, value: float | Texture, is_scalar: bool
-    ) -> tuple[float, float, float]:
-        if not isinstance(value, Texture):
-            return (value, value, value)
+    def _texture(self, package: Package, value: Texture, is_scalar: bool) -> Color:
         key = (package.sha256, value.model_dump_json(), is_scalar)
         if key not in self._means:
             pixels = read_image(package.local_file(value.texture))
@@ -123,12 +120,10 @@ class MeanMaterials:
 def adjusted(mean: MeanMaterial, adjustment: ColorAdjustment) -> MeanMaterial:
     """Means of a material after an adjustment; approximate if the material has textures."""
 
-    def turned(color: tuple[float, float, float], value_scale: float) -> tuple[float, float, float]:
+    def turned(color: Color, value_scale: float) -> Color:
         hue, saturation, value = colorsys.rgb_to_hsv(*color)
-        saturation = min(1.0, saturation * adjustment.saturation_scale)
-        return colorsys.hsv_to_rgb(
-            (hue + adjustment.hue_shift) % 1.0, saturation, min(1.0, value * value_scale)
-        )
+        hue, saturation = (hue + adjustment.hue_shift) % 1.0, saturation * adjustment.saturation_scale
+        return colorsys.hsv_to_rgb(hue, min(1.0, saturation), min(1.0, value * value_scale))
 
     return MeanMaterial(
         turned(mean.diffuse_albedo, adjustment.value_scale),
@@ -262,7 +257,7 @@ def mean_of(bakes: list[MeanMaterial]) -> MeanMaterial:
     if len(bakes) == 1:
         return bakes[0]
 
-    def color(channel: str) -> tuple[float, float, float]:
+    def color(channel: str) -> Color:
         red, green, blue = np.mean([getattr(bake, channel) for bake in bakes], axis=0).tolist()
         return (red, green, blue)
 
@@ -294,18 +289,11 @@ def mean_materials(placed: PlacedAsset, library: Library, means: MeanMaterials) 
     assigned = {}
     for slot in sorted(asset.materials):
         assignment = placed.materials.get(slot, MaterialAssignment())
-        source, material = package, asset.materials[slot]
-        mean = means.mean(source, material)
+        mean = means.mean(package, asset.materials[slot])
+        emission = placed.emission.get(slot, mean.emission)
         if assignment.asset is not None:
             source = library.package(assignment.asset)
             assert isinstance(source.asset, MaterialAsset)
-            replaced = means.mean(source, source.asset.material)
-            mean = MeanMaterial(
-                replaced.diffuse_albedo, replaced.specular_albedo, replaced.roughness, mean.emission
-            )
-        emission = placed.emission.get(slot, mean.emission)
-        changed = adjusted(mean, assignment.adjustment)
-        assigned[slot] = MeanMaterial(
-            changed.diffuse_albedo, changed.specular_albedo, changed.roughness, emission
-        )
+            mean = means.mean(source, source.asset.material)
+        assigned[slot] = replace(adjusted(mean, assignment.adjustment), emission=emission)
     return assigned

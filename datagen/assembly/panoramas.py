@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import math
 
-from datagen.assembly.daylight import rotation_about_up
+import numpy as np
+
 from datagen.assembly.light_probe import is_from_outside
+from datagen.assembly.things import pose
 from datagen.formats.asset import Daytime, EnvironmentAsset, ObjectAsset, PanoramaAsset
 from datagen.formats.lights import EnvironmentLight
 from datagen.formats.recipe import LightRecipe
@@ -54,7 +56,7 @@ def draw_panorama(daytime: Daytime, library: Library, draws: Draws) -> Environme
 
 def turned_image(asset: str, image: str, turn_rad: float) -> EnvironmentLight:
     """Return an environment light with an image of the package ``asset``, rotated about the vertical."""
-    rows = tuple(tuple(round(x, 9) for x in row) for row in rotation_about_up(turn_rad).tolist())
+    rows = tuple(tuple(round(x, 9) for x in row) for row in pose(1.0, turn_rad, np.zeros(3)).tolist())
     return EnvironmentLight(
         name="daylight",
         image=image,

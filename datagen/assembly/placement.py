@@ -176,9 +176,8 @@ class Placer:
         used = vertices[np.unique(thing.geometry.faces)]
         bounds = np.stack([used.min(axis=0), used.max(axis=0)])
         placed = PlacedThing(thing, surface, scale, yaw, position, bounds)
-        lifted = thing.collision_at(scale).at(
-            rotation_z(yaw), position + np.array([0.0, 0.0, MAX_PENETRATION_M])
-        )
+        above = position + np.array([0.0, 0.0, MAX_PENETRATION_M])
+        lifted = thing.collision_at(scale).at(rotation_z(yaw), above)
         if self.room.cuts(lifted, bounds, surface):
             return "hits_environment"
         for other in self.placed:
@@ -191,9 +190,8 @@ class Placer:
 
     def _fault_between(self, one: PlacedThing, other: PlacedThing) -> str:
         gap = self.recipe.min_gap_m
-        if (one.bounds_m[0] > other.bounds_m[1] + gap).any() or (
-            other.bounds_m[0] > one.bounds_m[1] + gap
-        ).any():
+        (low, high), (other_low, other_high) = one.bounds_m, other.bounds_m
+        if (low > other_high + gap).any() or (other_low > high + gap).any():
             return ""
         between = distance_m(one.body, other.body)
         if between <= 0:

@@ -7,6 +7,7 @@ one split; with ``splits.disjoint``, the library's rooms, objects and materials 
 
 from __future__ import annotations
 
+import functools
 from collections import Counter
 from dataclasses import dataclass, replace
 
@@ -38,8 +39,6 @@ from datagen.library import Library
 
 NUM_EYES = 384  # possible camera positions, at which the irradiance of lights is computed
 NUM_TRIES = 3  # largest number of draws of a configuration with too few objects or views
-
-__all__ = ["assemble", "check_recipe", "configuration_id", "split_of", "world_of"]
 
 
 @dataclass
@@ -76,14 +75,9 @@ class _ProcessCaches:
         return self.surfaces[package.sha256]
 
 
-_caches: _ProcessCaches | None = None
-
-
+@functools.cache
 def _process_caches() -> _ProcessCaches:
-    global _caches
-    if _caches is None:
-        _caches = _ProcessCaches(GeometryCache(), {}, {}, MeanMaterials(), {})
-    return _caches
+    return _ProcessCaches(GeometryCache(), {}, {}, MeanMaterials(), {})
 
 
 def configuration_id(recipe: Recipe, index: int) -> str:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from datagen.assembly.light_probe import is_from_outside
-from datagen.assembly.splits import pools_of_split, splits_in_use
+from datagen.assembly.splits import packages_in_use
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.recipe import Recipe
 from datagen.foundation.bundled import is_bundled
@@ -18,23 +18,20 @@ def rooms_without_sky(recipe: Recipe, library: Library) -> list[str]:
         lights.panoramas is None and not lights.daylight_probability
     ):
         return []
-    found: dict[str, str] = {}
-    for split in splits_in_use(recipe):
-        for package in pools_of_split(recipe, library, split).environments:
-            room = package.asset
-            assert isinstance(room, EnvironmentAsset)
-            if is_bundled(package.path) or any(map(is_from_outside, room.lights)):
-                continue
-            if not room.openings:
-                how = (
-                    "and no openings, so no daylight reaches it; mark its windows, or give its scene a world"
-                )
-            elif lights.panoramas is not None:
-                how = "so a panorama lights it through its openings (lights.panoramas)"
-            else:
-                how = (
-                    f"so daylight enters through its openings in {lights.daylight_probability:.0%} of its "
-                    "configurations (lights.daylight_probability; 0 leaves it out)"
-                )
-            found[room.id] = f"{room.id} has no sky of its own, {how}"
-    return [found[name] for name in sorted(found)]
+    found = []
+    for package in packages_in_use(recipe, library, "environments"):
+        room = package.asset
+        assert isinstance(room, EnvironmentAsset)
+        if is_bundled(package.path) or any(map(is_from_outside, room.lights)):
+            continue
+        if not room.openings:
+            how = "and no openings, so no daylight reaches it; mark its windows, or give its scene a world"
+        elif lights.panoramas is not None:
+            how = "so a panorama lights it through its openings (lights.panoramas)"
+        else:
+            how = (
+                f"so daylight enters through its openings in {lights.daylight_probability:.0%} of its "
+                "configurations (lights.daylight_probability; 0 leaves it out)"
+            )
+        found.append(f"{room.id} has no sky of its own, {how}")
+    return found

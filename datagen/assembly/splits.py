@@ -14,6 +14,7 @@ from __future__ import annotations
 import difflib
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Literal
 from weakref import WeakKeyDictionary
 
 from datagen.assembly.daylight import environment_image
@@ -83,6 +84,15 @@ def splits_in_use(recipe: Recipe) -> list[Split]:
     return [split for split in SPLITS if counts[split] > 0]
 
 
+def packages_in_use(
+    recipe: Recipe, library: Library, pool: Literal["environments", "objects"]
+) -> list[Package]:
+    """The packages of a pool that a split in use may contain, sorted by id."""
+    of_split = (getattr(pools_of_split(recipe, library, split), pool) for split in splits_in_use(recipe))
+    found = {package.id: package for packages in of_split for package in packages}
+    return [found[name] for name in sorted(found)]
+
+
 _POOLS: WeakKeyDictionary[Library, dict[str, dict[Split, Pools]]] = WeakKeyDictionary()
 
 
@@ -116,19 +126,13 @@ def _all_pools(recipe: Recipe, library: Library) -> dict[Split, Pools]:
         return dict.fromkeys(SPLITS, everything)
     home = partition(recipe, everything)
     foreign = _foreign_slots(everything, home)
+    pools = (everything.environments, everything.objects, everything.materials)
 
-    def of(packages: list[Package], split: Split) -> list[Package]:
-        return [p for p in packages if home[p.id] == split]
+    def of(split: Split) -> Pools:
+        environments, objects, materials = ([p for p in pool if home[p.id] == split] for pool in pools)
+        return Pools(environments, objects, materials, foreign)
 
-    return {
-        split: Pools(
-            of(everything.environments, split),
-            of(everything.objects, split),
-            of(everything.materials, split),
-            foreign,
-        )
-        for split in SPLITS
-    }
+    return {split: of(split) for split in SPLITS}
 
 
 def partition(recipe: Recipe, pools: Pools) -> dict[str, Split]:
@@ -157,14 +161,13 @@ def partition(recipe: Recipe, pools: Pools) -> dict[str, Split]:
 def _dealing_order(pools: Pools) -> list[list[Package]]:
     """The pools in the order of distribution: environments, objects by category, materials by main class."""
     groups: dict[tuple[int, str], list[Package]] = {}
-    for package in pools.environments:
-        groups.setdefault((0, ""), []).append(package)
-    for package in pools.objects:
-        assert isinstance(package.asset, ObjectAsset)
-        groups.setdefault((1, package.asset.category), []).append(package)
-    for package in pools.materials:
-        assert isinstance(package.asset, MaterialAsset)
-        groups.setdefault((2, package.asset.material.classes[0]), []).append(package)
+    for package in (*pools.environments, *pools.objects, *pools.materials):
+        asset, key = package.asset, (0, "")
+        if isinstance(asset, ObjectAsset):
+            key = (1, asset.category)
+        elif isinstance(asset, MaterialAsset):
+            key = (2, asset.material.classes[0])
+        groups.setdefault(key, []).append(package)
     return [groups[key] for key in sorted(groups)]
 
 
@@ -236,11 +239,9 @@ def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
     problems = _name_problems(recipe, library, where)
     pools = _everything(recipe, library)
     if not pools.environments and recipe.environments.needs_library:
-        got = "no usable environment" + (
-            " (evaluation_only ones do not count)"
-            if library.select("environment", for_training=False)
-            else ""
-        )
+        got = "no usable environment"
+        if library.select("environment", for_training=False):
+            got += " (evaluation_only ones do not count)"
         problems.add("environments", got, "at least one environment in the library", "add one with --library")
     if not pools.objects and recipe.objects.count[0] > 0:
         problems.add(
@@ -307,10 +308,8 @@ def _name_problems(recipe: Recipe, library: Library, where: str) -> Problems:
 
     def check(field: str, name: str, known: list[str], what: str) -> None:
         if name not in known:
-            near = difflib.get_close_matches(name, known, 3)
-            remedy = (
-                f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(known[:12]) or 'none'}"
-            )
+            near, some = difflib.get_close_matches(name, known, 3), ", ".join(known[:12]) or "none"
+            remedy = f"did you mean {', '.join(near)}?" if near else f"known: {some}"
             problems.add(field, repr(name), what, remedy)
 
     def check_usage(field: str, name: str) -> None:

@@ -15,7 +15,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from datagen.assembly.geometry import AssetGeometry
-from datagen.formats.asset import EnvironmentAsset, MaterialClass, SlotMaterial, Surface
+from datagen.formats.asset import EnvironmentAsset, MaterialClass, Surface
 
 _WORDS: tuple[tuple[Surface, str], ...] = (
     ("legs", "legs leg castors base"),
@@ -93,17 +93,14 @@ def surfaces_of(geometry: AssetGeometry) -> dict[str, Surface]:
         if material.surface is not None:
             found[slot] = material.surface
         elif is_room:
-            found[slot] = _of_names(own) or _of_names(parts[slot]) or shell.get(slot) or _of_class(material)
+            of_class = _OF_CLASS.get(material.classes[0], "small")
+            found[slot] = _of_names(own) or _of_names(parts[slot]) or shell.get(slot) or of_class
         else:
             category = getattr(asset, "category", "")
             of_thing = _OF_CATEGORY.get(category) or surface_of_words(category)
             word = surface_of_words(slot)
             found[slot] = (word if word in ("shade", "vessel", "legs") else None) or of_thing or "small"
     return found
-
-
-def _of_class(material: SlotMaterial) -> Surface:
-    return _OF_CLASS.get(material.classes[0], "small")
 
 
 def _shell(geometry: AssetGeometry) -> dict[str, Surface]:

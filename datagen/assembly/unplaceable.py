@@ -11,7 +11,7 @@ import numpy as np
 from datagen.assembly.generated import example_rooms
 from datagen.assembly.geometry import load_geometry
 from datagen.assembly.placement import CONTACT_TOLERANCE_M, surfaces_for
-from datagen.assembly.splits import pools_of_split, splits_in_use
+from datagen.assembly.splits import packages_in_use, pools_of_split, splits_in_use
 from datagen.assembly.things import Thing
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset
 from datagen.formats.category_sizes import size_fault
@@ -32,14 +32,12 @@ class Unplaceable:
 
 def implausible_sizes(recipe: Recipe, library: Library) -> list[str]:
     """One sentence per available object whose size is implausible for its category, sorted by id."""
-    found: dict[str, str] = {}
-    for split in splits_in_use(recipe):
-        for package in pools_of_split(recipe, library, split).objects:
-            assert isinstance(package.asset, ObjectAsset)
-            fault = size_fault(package.asset)
-            if fault:
-                found[package.id] = f"{package.id} {fault}"
-    return [found[name] for name in sorted(found)]
+    found = []
+    for package in packages_in_use(recipe, library, "objects"):
+        assert isinstance(package.asset, ObjectAsset)
+        if fault := size_fault(package.asset):
+            found.append(f"{package.id} {fault}")
+    return found
 
 
 def unplaceable(recipe: Recipe, library: Library) -> list[Unplaceable]:

@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 
 from datagen.assembly.coverage import Shell, preview_of, sees
 from datagen.assembly.free_space import FreeSpace
-from datagen.assembly.geometry import Floats, RayScene, WorldScene
+from datagen.assembly.geometry import Floats, RayScene, WorldScene, direction_of
 from datagen.assembly.light_levels import Lighting
 from datagen.assembly.light_probe import Rectangle
 from datagen.assembly.shortfall import shortfall
+from datagen.assembly.things import rotation_z
 from datagen.formats.base import quantized
 from datagen.formats.recipe import CameraRecipe
 from datagen.foundation.cameras import Camera, look_at
@@ -292,14 +293,9 @@ class ViewFinder:
         width, height = self.resolution
         focal = quantized(0.5 * width / math.tan(0.5 * fov), 9)
         roll = min(max(draws.normal(), -2.5), 2.5) * _ROLL_RAD
-        forward = np.array(
-            [math.cos(azimuth) * math.cos(pitch), math.sin(azimuth) * math.cos(pitch), math.sin(pitch)]
-        )
-        pose = look_at(position, position + forward)
-        c, s = math.cos(roll), math.sin(roll)
-        pose[:3, :3] = pose[:3, :3] @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        pose = np.round(pose, 9)
-        return Camera(width, height, focal, focal, 0.5 * width, 0.5 * height, pose)
+        pose = look_at(position, position + direction_of(azimuth, pitch))
+        pose[:3, :3] = pose[:3, :3] @ rotation_z(roll)
+        return Camera(width, height, focal, focal, 0.5 * width, 0.5 * height, np.round(pose, 9))
 
     def _measure(self, candidates: list[Candidate]) -> None:
         """Set the mean luminance of each candidate."""
