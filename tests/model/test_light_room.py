@@ -14,7 +14,6 @@ from datagen.geometry.traced import TracedGeometry, smooth_regions
 from datagen.geometry.views import TracedView
 from datagen.light import estimated_light
 from datagen.light.lighting import light_surfels
-from model.reconstruction.light import stage
 from model.reconstruction.light.confidence import trust_in_hidden
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.solve import MAX_ALBEDO
@@ -240,16 +239,6 @@ def test_confidence_falls_with_the_share_of_hidden_light() -> None:
     np.testing.assert_allclose(trust_in_hidden(hidden, none), [1, 1, 0.5, 0, 0], atol=1e-6)
     declared = np.array([0.0, 0.4, 0.7, 1.0, 1.0])
     np.testing.assert_allclose(trust_in_hidden(none, declared), [1, 1, 0.5, 0, 0], atol=1e-6)
-
-
-def test_metal_is_known_in_the_light_of_unphotographed_lamps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its images show light that is photographed; walls retain the network's materials."""
-    monkeypatch.setattr(stage, "trust_in_hidden", lambda hidden, inferred: np.zeros(len(hidden)))
-    found = solved(photographed_room(), predicted(photographed_room()))
-    confidence = found.solved.confidence
-    assert confidence[of_quad(found, "south")].max() == 0
-    assert np.median(confidence[of_quad(found, "mirror"), 1]) > 0.9
-    assert np.median(found.solved.replaced[of_quad(found, "mirror")]) > 0.9
 
 
 def test_unseen_surface_reflects_light() -> None:

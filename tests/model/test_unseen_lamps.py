@@ -18,7 +18,7 @@ from model.reconstruction.light import confidence, stage
 from model.reconstruction.light.stage import LightMaterials
 from model.reconstruction.light.unseen_lamps import UnseenLamps, lamp_kinds
 from tests.model.light_room import LAMP, photographed_room, quads, without_pixels
-from tests.model.test_light_room import predicted, solved, wall_error
+from tests.model.test_light_room import of_quad, predicted, solved, wall_error
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
@@ -46,11 +46,18 @@ def test_albedo_in_the_light_of_an_unseen_lamp_is_found() -> None:
 
 
 def test_network_replaces_materials_where_estimated_light_prevails(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A lamp that provides 40 % of the light reduces no confidence; above the range, all confidence is 0."""
+    """A lamp that provides 40 % of the light reduces no confidence; above the range, confidence is 0. Metals
+    reflect photographed light and are still found.
+    """
     assert room().solved.replaced.max() > 0.9 and room().solved.confidence[:, 1:].max() > 0.9
     monkeypatch.setattr(confidence, "INFERRED_LIGHT", (0.1, 0.3))
     found = solved(without_lamp(), predicted(without_lamp()))
-    assert found.solved.replaced.max() == 0 and found.solved.confidence.max() == 0
+    weights = np.column_stack([found.solved.replaced, found.solved.confidence])
+    assert weights[~found.solved.is_metal].max() == 0
+    metal = of_quad(found, "metal")
+    assert np.median(weights[metal], axis=0).min() > 0.9
+    found_s = np.median(found.solved.specular_albedo[metal], axis=0)
+    np.testing.assert_allclose(found_s, (0.9, 0.65, 0.35), atol=0.03)
 
 
 def test_a_lamp_treated_as_dark_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
