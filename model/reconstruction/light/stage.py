@@ -27,6 +27,7 @@ from datagen.light.lighting import Lit, clipped_surfels, light_surfels, relight,
 from datagen.light.surfels import Surfels, camera_row, surfel_means, weighted_medians
 from datagen.multiview.compiled import num_threads
 from model.reconstruction.light.confidence import (
+    METAL_TRUST,
     impossible_shares,
     normal_spread,
     sureness,
@@ -195,8 +196,8 @@ def _solved_surfels(
     is_lit = lit.diffuse.max(axis=1) > 0  # unknown where no light arrives
     impossible = impossible_shares(surfels, lit.diffuse, is_metal, segmentation.region)
     of_segment = np.column_stack([segments.confidence[:, :2], sure_of_r])[segment]
-    # photographs record the light that metals reflect, whatever arrives from unphotographed sources
-    trust = sure * np.where(is_metal, 1, impossible.trust() * trust_in_hidden(lit.hidden, inferred) * is_lit)
+    trust = impossible.trust() * trust_in_hidden(lit.hidden, inferred) * is_lit
+    trust = sure * np.maximum(trust, METAL_TRUST * is_metal)
     confidence *= trust[:, None] * of_segment
     replaced = trust * of_segment[:, 0]
     confidence[:, 0] *= impossible.evidence()
