@@ -68,8 +68,7 @@ def with_errors(geometry: CaptureGeometry, error: GeometryError) -> CaptureGeome
 def _part_mesh(mesh: Mesh, part: GeometryPart) -> Mesh:
     """Mesh of one part with the vertices that it uses, without UVs and normals."""
     bare = Mesh(mesh.positions, mesh.faces[part.first_face : part.first_face + part.num_faces])
-    used, compact = np.unique(bare.faces, return_inverse=True)
-    return Mesh(bare.positions[used], compact.reshape(-1, 3).astype(np.int32))
+    return bare.picked(*np.unique(bare.faces, return_inverse=True))
 
 
 def _worse(mesh: Mesh, error: GeometryError, random: np.random.Generator) -> Mesh:

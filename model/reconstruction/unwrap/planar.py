@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.foundation.meshes.mesh import Mesh, area_vectors, edge_pairs, welded
+from datagen.foundation.meshes.mesh import Mesh, area_vectors, edge_pairs, unit_vectors, welded
 from datagen.multiview.compiled import compiled
 
 GROWTH_DEG = 50.0
@@ -48,9 +48,9 @@ class PlanarCharts:
         """
         chart = np.unique(self.chart, return_inverse=True)[1]
         num = int(chart.max()) + 1
-        normal = _unit(self._sums(chart, num))
+        normal = unit_vectors(self._sums(chart, num), [0.0, 0.0, 1.0])
         helper = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-        x = _unit(np.cross(helper, normal))
+        x = unit_vectors(np.cross(helper, normal), [0.0, 0.0, 1.0])
         axes = np.stack([x, np.cross(normal, x)], axis=1)[chart]  # (M, 2, 3)
         flat = np.einsum("mck,mik->mci", self.mesh.triangles(), axes)
         edges = flat[:, 1:] - flat[:, :1]
@@ -77,7 +77,7 @@ class PlanarCharts:
             num = _grow_charts(
                 order, self._first, self._around, self._vectors, self._areas, cosine, self.chart, num
             )
-            normal = _unit(self._sums(self.chart, num))[self.chart]
+            normal = unit_vectors(self._sums(self.chart, num), [0.0, 0.0, 1.0])[self.chart]
             facing = (self._vectors * normal).sum(axis=1)
             is_tilted = (facing < np.cos(np.radians(MAX_TILT_DEG)) * self._areas) & (self._areas > 0)
             if not is_tilted.any():
@@ -88,12 +88,6 @@ class PlanarCharts:
 
     def _sums(self, chart: Ints, num: int) -> Floats:
         return np.stack([np.bincount(chart, self._vectors[:, axis], num) for axis in range(3)], axis=1)
-
-
-def _unit(vectors: Floats) -> Floats:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    unit: Floats = np.where(length > 0, vectors / np.maximum(length, 1e-300), [[0.0, 0.0, 1.0]])
-    return unit
 
 
 def _faces_across_edges(corners: Ints) -> tuple[Ints, Ints]:
