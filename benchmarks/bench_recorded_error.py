@@ -98,7 +98,7 @@ def references(
     paths = reference_paths(renderer.configuration, room, view, samples, cache)
     for part, path in enumerate(paths):
         if not path.is_file():
-            tracer = PathTracer(renderer.built, DEPTH, ROULETTE_DEPTH)
+            tracer = PathTracer(renderer.built, renderer.materials, DEPTH, ROULETTE_DEPTH)
             tracer.use_sky_guide(renderer.tracer.sky_guide)
             sums = tracer.accumulate(renderer.sensor(camera), samples // PARTS, 0x5EED0000 + part)
             np.save(path, sums.mean())

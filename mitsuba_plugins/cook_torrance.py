@@ -116,7 +116,7 @@ class CookTorrance(mi.BSDF):
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: Array, active: Array = True
     ) -> tuple[Any, Any]:
         """Results of :meth:`eval` and :meth:`pdf`, which share most of their computation."""
-        return _Lobes(self, ctx, si, active).eval_pdf(wo)
+        return self._lobes(ctx, si, active).eval_pdf(wo)
 
     def sample(
         self,
@@ -130,7 +130,7 @@ class CookTorrance(mi.BSDF):
 
         Returns a BSDFSample3f and the weight f cos_o / pdf, below 10 in each channel (docs/bsdf.md).
         """
-        return _Lobes(self, ctx, si, active).sample(sample1, sample2)
+        return self._lobes(ctx, si, active).sample(sample1, sample2)
 
     def eval_pdf_sample(
         self,
@@ -142,8 +142,18 @@ class CookTorrance(mi.BSDF):
         active: Array = True,
     ) -> tuple[Any, Any, Any, Any]:
         """Results of :meth:`eval_pdf` and :meth:`sample`, with a single evaluation of the textures."""
-        lobes = _Lobes(self, ctx, si, active)
+        lobes = self._lobes(ctx, si, active)
         return (*lobes.eval_pdf(wo), *lobes.sample(sample1, sample2))
+
+    def _lobes(self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, active: Array) -> Lobes:
+        return Lobes(
+            si.wi,
+            *self.surface_parameters(si, active),
+            active,
+            is_two_sided=self.two_sided,
+            has_diffuse=ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0),
+            has_specular=ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 1),
+        )
 
     def to_string(self) -> str:
         return (
@@ -153,21 +163,34 @@ class CookTorrance(mi.BSDF):
         )
 
 
-class _Lobes:
-    """Diffuse and specular lobes at an interaction; terms independent of ``wo`` are computed once."""
+class Lobes:
+    """Diffuse and specular lobe of D, S and R for a direction ``wi`` to the viewer.
 
-    def __init__(self, bsdf: CookTorrance, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, active: Array):
-        self.has_diffuse = ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0)
-        self.has_specular = ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 1)
-        diffuse, self.specular, roughness = bsdf.surface_parameters(si, active)
+    Directions are in a local frame whose z axis is the normal. Terms independent of ``wo`` are computed once.
+    """
+
+    def __init__(
+        self,
+        wi: Array,
+        diffuse_albedo: Array,
+        specular_albedo: Array,
+        roughness: Array,
+        active: Array,
+        *,
+        is_two_sided: bool = True,
+        has_diffuse: bool = True,
+        has_specular: bool = True,
+    ):
+        self.has_diffuse, self.has_specular = has_diffuse, has_specular
+        self.specular = specular_albedo
         self.alpha = beckmann.alpha_from_roughness(roughness)
-        self.diffuse = (1.0 - self.specular) * diffuse
-        if bsdf.two_sided:
-            self.side = dr.mulsign(mi.Float(1.0), si.wi.z)  # from below, both directions are mirrored
-            self.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
+        self.diffuse = (1.0 - specular_albedo) * diffuse_albedo
+        if is_two_sided:
+            self.side = dr.mulsign(mi.Float(1.0), wi.z)  # from below, both directions are mirrored
+            self.wi = mi.Vector3f(wi.x, wi.y, dr.abs(wi.z))
         else:
             self.side = mi.Float(1.0)
-            self.wi = mi.Vector3f(si.wi)
+            self.wi = mi.Vector3f(wi)
         self.active = mi.Bool(active) & (self.wi.z > 0.0)
         self.specular_probability = self._specular_probability()
         self.masking = beckmann.smith_g1_over_cos(self.wi, self.alpha)
@@ -181,8 +204,8 @@ class _Lobes:
         # The sampling density must not add derivatives to eval or to the weights of detached sampling.
         specular, diffuse = dr.detach(self.specular), dr.detach(self.diffuse)
         grazing = _fifth_power(1.0 - dr.maximum(dr.detach(self.wi.z), 0.0))
-        specular_energy = dr.mean(specular + (1.0 - specular) * grazing)
-        diffuse_energy = dr.mean(diffuse)
+        specular_energy = dr.sum(specular + (1.0 - specular) * grazing)  # of three channels
+        diffuse_energy = dr.sum(diffuse)
         total = specular_energy + diffuse_energy
         share = specular_energy / dr.select(total > 0.0, total, 1.0)
         # CUDA's division is approximate: a share above 1 would make densities negative, and one below 1 add
@@ -191,7 +214,7 @@ class _Lobes:
         return dr.maximum(share, MIN_LOBE_PROBABILITY)
 
     def eval_pdf(self, wo: Array) -> tuple[Any, Any]:
-        """Value f cos_o and density [1/sr] at ``wo``, a direction in the frame of ``si``."""
+        """Value f cos_o and density [1/sr] at ``wo``."""
         wo = mi.Vector3f(wo.x, wo.y, wo.z * self.side)
         active = self.active & (wo.z > 0.0)
         value, pdf = mi.Color3f(0.0), mi.Float(0.0)
@@ -212,7 +235,7 @@ class _Lobes:
         return dr.select(active, value, 0.0), dr.select(active, pdf, 0.0)
 
     def sample(self, sample1: Array, sample2: Array) -> tuple[Any, Any]:
-        """BSDFSample3f with a direction in the frame of ``si``, and the weight f cos_o / pdf."""
+        """BSDFSample3f and the weight f cos_o / pdf."""
         use_specular = sample1 < self.specular_probability
         normal = beckmann.sample_visible_normal(self.wi, self.alpha, sample2)
         reflected = 2.0 * dr.dot(self.wi, normal) * normal - self.wi

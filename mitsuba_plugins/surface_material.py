@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.errors import Problem, Problems, raise_problems
-from mitsuba_plugins.cook_torrance import CookTorrance
+from mitsuba_plugins.cook_torrance import CookTorrance, Lobes
 from mitsuba_plugins.texture_checks import exposed, needs_uv
 
 Array = Any
@@ -41,6 +41,54 @@ class SurfaceChannels:
     roughness: Array
     normal_local: Array
     opacity: Array
+
+
+class SurfaceLobes:
+    """BSDF of the ``channels`` at hits ``si``, without their opacity.
+
+    Kernels evaluate it once for all materials, where ``si.bsdf()`` would be an indirect call of a function
+    for each. Directions are in the frame of ``si``. Like Mitsuba's ``normalmap``, mapped normals
+    (``has_mapped_normals``) reflect no light through the unmapped surface, and shadow light near its horizon
+    (Conty Estevez et al., A Microfacet-Based Shadowing Function to Solve the Bump Terminator Problem, 2019).
+    """
+
+    def __init__(self, channels: SurfaceChannels, si: Any, active: Array, has_mapped_normals: bool):
+        parameters = (channels.diffuse_albedo, channels.specular_albedo, channels.roughness)
+        if not has_mapped_normals:
+            self.frame: Any = None
+            self._lobes = Lobes(si.wi, *parameters, active)
+            return
+        normal = mi.Vector3f(channels.normal_local)  # on the viewer's side
+        tangent = dr.normalize(dr.fma(-normal.x, normal, mi.Vector3f(1.0, 0.0, 0.0)))
+        self.frame = mi.Frame3f(tangent, dr.cross(normal, tangent), normal)
+        self._lobes = Lobes(self.frame.to_local(si.wi), *parameters, active)
+
+    def eval_pdf(self, wo: Array) -> tuple[Any, Any]:
+        """Value f cos_o (Color3f) and density [1/sr] at ``wo``."""
+        if self.frame is None:
+            return self._lobes.eval_pdf(wo)
+        local = self.frame.to_local(wo)
+        value, pdf = self._lobes.eval_pdf(local)
+        is_reflected = self._is_reflected(wo, local)
+        return dr.select(is_reflected, value * self._shadow(wo), 0.0), dr.select(is_reflected, pdf, 0.0)
+
+    def sample(self, sample1: Array, sample2: Array) -> tuple[Any, Any, Any]:
+        """Direction ``wo``, its density [1/sr] and the weight f cos_o / pdf (Color3f); 0 for none."""
+        bs, weight = self._lobes.sample(sample1, sample2)
+        if self.frame is None:
+            return bs.wo, bs.pdf, weight
+        wo = self.frame.to_world(bs.wo)
+        is_reflected = self._is_reflected(wo, bs.wo)
+        shadowed = dr.select(is_reflected, weight * self._shadow(wo), 0.0)
+        return wo, dr.select(is_reflected, bs.pdf, 0.0), shadowed
+
+    def _is_reflected(self, wo: Array, mapped: Array) -> Array:
+        """Whether ``wo``, ``mapped`` in the frame of the mapped normal, is on the viewer's side of both."""
+        return dr.mulsign(wo.z, self.frame.n.z) * mapped.z > 0.0
+
+    def _shadow(self, wo: Array) -> Array:
+        alpha2 = dr.minimum(0.125 * mi.Frame3f.tan_theta_2(self.frame.n), 1.0)
+        return 2.0 / (1.0 + dr.sqrt(1.0 + alpha2 * mi.Frame3f.tan_theta_2(wo)))
 
 
 Evaluator = Callable[[Any, Any], tuple[Any, Any, Any, Any, Any]]
@@ -135,6 +183,12 @@ def build_evaluator(bsdf: Any) -> tuple[Evaluator, bool]:
     raise UnsupportedBsdf(kind)
 
 
+def _has_normal_map(bsdf: Any) -> bool:
+    children = exposed(bsdf)[0].values()
+    nested = (child for child in children if isinstance(child, mi.BSDF))
+    return bsdf.class_name() == "NormalMap" or any(_has_normal_map(child) for child in nested)
+
+
 def _nothing(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
     """Channels of a masked surface: an emitter, or the background."""
     return mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0), mi.Normal3f(0.0, 0.0, 1.0), mi.Float(1.0)
@@ -190,6 +244,7 @@ class SceneMaterials:
         problems = Problems("scene")
         self._evaluators: list[Evaluator] = [_nothing]
         self.has_transparency = False
+        self.has_mapped_normals = False
         self._index_of_bsdf: dict[int, int] = {}
         self._needs_uv: dict[int, bool] = {}
         # Python wrappers of C++ objects are created on each access; kept so that their id() is valid
@@ -256,6 +311,7 @@ class SceneMaterials:
             return 0
         self._evaluators.append(evaluator)
         self.has_transparency |= is_transparent
+        self.has_mapped_normals |= _has_normal_map(bsdf)
         return len(self._evaluators) - 1
 
     # ---- inside kernels ----------------------------------------------------------------------------------

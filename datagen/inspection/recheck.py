@@ -141,7 +141,7 @@ def _recheck_shard(
 def _against_plain_paths(renderer: SceneRenderer, view: View, samples: int) -> Rechecked:
     from datagen.rendering.transport.integrator import PathTracer
 
-    tracer = PathTracer(renderer.built, DEPTH, ROULETTE_DEPTH)
+    tracer = PathTracer(renderer.built, renderer.materials, DEPTH, ROULETTE_DEPTH)
     sensor = renderer.sensor(view.record.camera.camera())
     parts = []
     for part in range(PARTS):

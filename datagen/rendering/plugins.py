@@ -84,7 +84,7 @@ def rays_through(view: tuple[Any, ...], position_px: Any) -> Any:
     """Camera rays of a sensor's :attr:`PinholePixels.view` through film positions ``position_px``."""
     origin, right, down, forward, centre, clip = view  # clip: near depth, and far minus near depth
     offset = position_px - centre
-    ray = dr.zeros(mi.Ray3f)
+    ray = dr.zeros(mi.Ray3f, dr.width(position_px))
     direction = forward + offset.x * right + offset.y * down  # of depth 1
     ray.o = dr.fma(clip.x, direction, origin)
     ray.d = dr.normalize(direction)

@@ -87,7 +87,7 @@ class PreparedScene:
         self._sensors: dict[tuple[int, int], Any] = {}
         self.materials = MergedShapeMaterials(self.built)
         self.max_depth, self.truncation = self._path_depth()
-        self.tracer = PathTracer(self.built, self.max_depth, recipe.russian_roulette_depth)
+        self.tracer = PathTracer(self.built, self.materials, self.max_depth, recipe.russian_roulette_depth)
         self.prepare_paths()
 
     def reseed(self, seed: int) -> None:
@@ -104,7 +104,7 @@ class PreparedScene:
         cameras = [view.camera() for view in self.configuration.cameras]
         chosen = cameras[:: math.ceil(len(cameras) / MAX_IRRADIANCE_VIEWS)]
         sensors = (self.sensor(camera) for camera in chosen)
-        self.tracer.gather_irradiance(self.materials, sensors, self.seed(0, "irradiance"))
+        self.tracer.gather_irradiance(sensors, self.seed(0, "irradiance"))
 
     def seed(self, index: int, purpose: str) -> int:
         """Return :func:`view_seed` for this configuration's seed."""

@@ -10,8 +10,14 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.errors import Problems, raise_problems
 from datagen.rendering.scene_builder import BuiltScene
-from mitsuba_plugins.surface_material import SceneMaterials, invisible, registry_indices
+from mitsuba_plugins.surface_material import (
+    SceneMaterials,
+    SurfaceChannels,
+    invisible,
+    registry_indices,
+)
 
 Array = Any
 
@@ -42,7 +48,17 @@ class MergedShapeMaterials(SceneMaterials):
         self._first_face = mi.UInt32(first_face)
         self._instance_of_face = mi.UInt32(np.concatenate(instances))
         self._material_of_face = mi.UInt32(np.concatenate(materials))
+        self._bsdf_of_shape = self._bsdfs_with_lights(built, registry)
         self._hide(built, registry)
+
+    def _bsdfs_with_lights(self, built: BuiltScene, registry: NDArray[np.int64]) -> Any:
+        """Evaluator by registry index of all shapes, including lights."""
+        problems = Problems("scene")
+        evaluator = np.array(self._evaluator_of_shape)
+        for shape, index in zip(built.scene.shapes(), registry, strict=True):
+            evaluator[index] = self._evaluator_index(shape, shape.id(), problems)
+        raise_problems(problems)
+        return mi.UInt32(evaluator)
 
     def _hide(self, built: BuiltScene, registry: NDArray[np.int64]) -> None:
         if not built.hidden_shapes:
@@ -57,6 +73,15 @@ class MergedShapeMaterials(SceneMaterials):
                 is_emitter[index] = False
         self._evaluator_of_shape = mi.UInt32(evaluator)
         self._is_emitter_shape = mi.Bool(is_emitter)
+
+    def tables(self) -> list[Any]:
+        """Arrays that a recorded kernel reads, in addition to those of the scene."""
+        return [*super().tables(), self._bsdf_of_shape]
+
+    def reflecting_channels_at(self, si: mi.SurfaceInteraction3f, active: Array) -> SurfaceChannels:
+        """Channels at the hit ``si`` like :meth:`channels_at`, with those of the surfaces of lights."""
+        index = dr.gather(mi.UInt32, self._bsdf_of_shape, self._registry_index(si), active)
+        return SurfaceChannels(*dr.switch(index, self._evaluators, si, active))
 
     def shape_index(self, si: mi.SurfaceInteraction3f) -> Array:
         """Index of the triangle that was hit; 0 for none."""

@@ -91,7 +91,7 @@ def window(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Wi
     recipe = parse_model(RenderRecipe, {"quality": "standard", "keep_noisy": True}, "recipe.yaml")
     room = renderer(tmp_path_factory.mktemp("bars"), behind_bars(), [camera], recipe, lights=lights)
     view = room.render_view(0)
-    plain, sensor = PathTracer(room.built, 65, 5), room.sensor(camera)
+    plain, sensor = PathTracer(room.built, room.materials, 65, 5), room.sensor(camera)
     truth = tuple(plain.render(sensor, 1024, seed) for seed in (101, 102))
     room.close()
     return Window(view, view.buffers["beauty_noisy"], (truth[0], truth[1]))

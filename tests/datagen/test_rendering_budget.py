@@ -410,7 +410,7 @@ def test_clamp_keeps_direct_light(budgeted: SceneRenderer) -> None:
     """With a clamp near zero only light after a single reflection remains."""
     sensor = budgeted.sensor(CAMERAS[1])
     clamped = budgeted.tracer.accumulate(sensor, 32, 9, limit=1e-9)
-    short = PathTracer(budgeted.built, 2, 5).accumulate(sensor, 32, 9)
+    short = PathTracer(budgeted.built, budgeted.materials, 2, 5).accumulate(sensor, 32, 9)
     # Random numbers differ from the second vertex on.
     assert clamped.radiance == pytest.approx(short.radiance, rel=1e-4, abs=1e-4)
     assert clamped.removed_share() > 0.1

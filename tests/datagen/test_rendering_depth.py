@@ -70,8 +70,8 @@ def test_truncation_in_a_furnace_matches_the_formula(tmp_path: Path, mitsuba_var
     """In a furnace of reflectance 0.5 each bounce adds half the radiance of the previous one."""
     room = renderer(tmp_path, closed_room((1.0, 1.0, 1.0)), [CAMERA])
     sensor = room.sensor(CAMERA)
-    whole = PathTracer(room.built, 40, 40).accumulate(sensor, 256, 1).radiance.sum()
+    whole = PathTracer(room.built, room.materials, 40, 40).accumulate(sensor, 256, 1).radiance.sum()
     for depth in (3, 6):
-        part = PathTracer(room.built, depth, 40).accumulate(sensor, 256, 1).radiance.sum()
+        part = PathTracer(room.built, room.materials, depth, 40).accumulate(sensor, 256, 1).radiance.sum()
         assert 1 - part / whole == pytest.approx(truncation(0.5, depth), rel=0.1)
         assert 1 - part / whole != pytest.approx(truncation(0.5, depth + 1), rel=0.1)

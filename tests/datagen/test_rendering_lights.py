@@ -176,6 +176,28 @@ def test_transparent_sheet_dims_a_point_light(tmp_path: Path) -> None:
     assert found == pytest.approx(np.array(RADIANCE) * 0.7 / 2**1.5, rel=TOLERANCE)
 
 
+def test_partly_transparent_white_sheet_vanishes_in_uniform_light(tmp_path: Path) -> None:
+    """MIS weights of emitter samples and bounces sum to 1 for any opacity."""
+    scene = SmallScene()
+    scene.slots["veil"] = GREY.model_copy(update={"opacity": 0.5, "diffuse_albedo": (1.0, 1.0, 1.0)})
+    scene.parts["floor"] = (quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), "veil")
+    sky = EnvironmentLight(name="sky", radiance=RADIANCE)
+    room = renderer(tmp_path, scene, [down_camera()], RECIPE, lights=[sky])
+    found = room.tracer.render(room.sensor(down_camera()), 1024, 1).mean(axis=(0, 1))
+    assert found == pytest.approx(np.array(RADIANCE), rel=TOLERANCE)
+
+
+def test_light_reflects_the_light_of_others(tmp_path: Path) -> None:
+    """A faint lamp with a material of its own reflects like any surface."""
+    scene = SmallScene()
+    scene.slots["glow"] = GREY.model_copy(update={"emission": (1e-6, 1e-6, 1e-6)})
+    scene.parts = {"floor": (scene.parts["floor"][0], "glow")}
+    light = PointLight(name="l", position_m=(0, 0, 1), intensity=RADIANCE)
+    room = renderer(tmp_path, scene, [down_camera()], RECIPE, lights=[light])
+    found = room.tracer.render(room.sensor(down_camera()), 64, 1).mean(axis=(0, 1))
+    assert found == pytest.approx(np.array(RADIANCE) * 0.5 / math.pi, rel=TOLERANCE)
+
+
 def test_emissive_part_emits_light_and_is_masked(tmp_path: Path) -> None:
     scene = SmallScene()
     scene.slots["glow"] = SlotMaterial(emission=RADIANCE)

@@ -59,24 +59,21 @@ class SceneEmitters:
         return emitter.eval(si, shown), weight
 
     def sample(self, si: Any, numbers: Any, record: Array, active: Array) -> tuple[Any, Any]:
-        """Sample a direction to an emitter; return a DirectionSample3f and the attenuated radiance / density.
+        """Sample a direction to an emitter; return a DirectionSample3f and the unoccluded radiance / density.
 
         ``numbers`` is the path's sampler; ``record`` is the irradiance cache record of ``si``, 0 for none.
         """
         if self.light_sampler is None:
-            is_tested = not self.has_transparency
-            ds, radiance = self.scene.sample_emitter_direction(si, numbers.next_2d(), is_tested, active)
-            if is_tested:
-                return ds, radiance
-        else:
-            ds, radiance = self.light_sampler.sample_emitter(
-                si, record, numbers.next_2d(), numbers.next_1d(), active
-            )
+            return self.scene.sample_emitter_direction(si, numbers.next_2d(), False, active)
+        return self.light_sampler.sample_emitter(si, record, numbers.next_2d(), numbers.next_1d(), active)
+
+    def visible(self, si: Any, ds: Any, radiance: Array, active: Array) -> Array:
+        """Attenuate the ``radiance`` of emitter samples ``ds`` on the way to ``si``; 0 unless ``active``."""
         reaches = active & (ds.pdf != 0.0)
         if self.has_transparency:
-            return ds, radiance * self._transmittance(si, ds, reaches)
+            return radiance * self._transmittance(si, ds, reaches)
         is_blocked = self.scene.ray_test(si.spawn_ray_to(ds.p), reaches)
-        return ds, dr.select(reaches & ~is_blocked, radiance, 0.0)
+        return dr.select(reaches & ~is_blocked, radiance, 0.0)
 
     @dr.syntax
     def _transmittance(self, si: Any, ds: Any, active: Array) -> Array:

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 import weakref
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -38,12 +38,18 @@ from datagen.rendering.transport.vertex import MAX_CROSSINGS, Walk, facing_norma
 
 if TYPE_CHECKING:
     from datagen.rendering.scene_builder import BuiltScene
-    from mitsuba_plugins.surface_material import SceneMaterials
+    from datagen.rendering.shape_ids import MergedShapeMaterials
 
 Array = Any
 
-MAX_LANES = 1 << 24
-"""Maximum number of light paths per launch, at 36 bytes each; larger views need several launches."""
+MAX_LANES = 1 << 19
+"""Maximum number of light paths per launch, of about 300 bytes each; larger views need several launches."""
+FIRST_SEGMENTS = 2
+"""Segments after which the paths that have not ended are packed; later launches are half as long as all
+before."""
+MIN_PACKED = 1 << 14
+"""Minimum number of paths that are packed; fewer are traced to their ends at once."""
+UNLIMITED = 0xFFFFFFFF
 TINY = 1e-30
 """Prevents division by 0 in the clamp for paths without light."""
 
@@ -56,6 +62,35 @@ def forget_recordings() -> None:
         tracer.forget_recordings()
 
 
+class PathState:
+    """State of one path per lane between launches: a path is traced from its camera ray in several."""
+
+    DRJIT_STRUCT: ClassVar[dict[str, type]] = dict.fromkeys(
+        ("walk", "sampler", "throughput", "direct", "indirect", "spread_m", "active"), object
+    )
+
+    def __init__(self, sampler: Any = None, ray: Any = None):
+        """Paths at the start of their camera rays; without arguments, an object to be filled."""
+        num = 1 if ray is None else dr.width(ray)
+        self.walk = Walk(ray)  # current segment and previous vertex
+        self.sampler = OwenSobol() if sampler is None else sampler
+        self.throughput: Any = dr.full(mi.Color3f, 1.0, num)  # product of BSDF weights and roulette factors
+        self.direct: Any = dr.zeros(mi.Color3f, num)  # radiance after at most one bounce
+        self.indirect: Any = dr.zeros(mi.Color3f, num)  # radiance after two or more bounces
+        self.spread_m: Any = dr.zeros(mi.Float, num)  # side of the area over which the path has spread
+        self.active: Any = dr.full(mi.Bool, True, num)  # whether the path continues
+
+
+def _gathered(state: Any, lanes: Any) -> Any:
+    """Copy of a state, with the ``lanes`` (mi.UInt32) only."""
+    if not isinstance(state, PathState | Walk | OwenSobol):
+        return dr.gather(type(state), state, lanes)
+    result = type(state)()
+    for name in state.DRJIT_STRUCT:
+        setattr(result, name, _gathered(getattr(state, name), lanes))
+    return result
+
+
 class PathTracer:
     """Traces the light paths of one scene.
 
@@ -63,10 +98,17 @@ class PathTracer:
     light). Russian roulette is applied from ``russian_roulette_depth`` segments on.
     """
 
-    def __init__(self, built: BuiltScene, max_depth: int, russian_roulette_depth: int):
+    def __init__(
+        self,
+        built: BuiltScene,
+        materials: MergedShapeMaterials,
+        max_depth: int,
+        russian_roulette_depth: int,
+    ):
         self.scene = built.scene
         self.max_depth, self.russian_roulette_depth = max_depth, russian_roulette_depth
         self.emitters = SceneEmitters(built)
+        self.materials = materials
         self.sky_guide: SkyGuide | None = None
         self.irradiance: IrradianceCache | None = None
         # Recorded once, since the Python code of hundreds of materials runs longer than a small pass.
@@ -76,7 +118,7 @@ class PathTracer:
     def _tables(self) -> list[Any]:
         """Arrays that the kernel reads in addition to its arguments."""
         cache = [] if self.irradiance is None else self.irradiance.arrays()
-        return [*self.emitters.tables(), *cache]
+        return [*self.emitters.tables(), *self.materials.tables(), *cache]
 
     # ---- state shared by all views -------------------------------------------------------------------
 
@@ -97,12 +139,12 @@ class PathTracer:
         self.emitters.light_sampler = uniform_sampler(self.scene, guide)
         self.forget_recordings()
 
-    def gather_irradiance(self, materials: SceneMaterials, sensors: Iterable[Any], seed: int) -> None:
+    def gather_irradiance(self, sensors: Iterable[Any], seed: int) -> None:
         """Estimate the irradiance cache, in which later paths may end, and light sampler from ``sensors``."""
         self.use_sky_guide(self.sky_guide)
         if self.scene.emitters():
             with dr.suspend_grad():
-                self.irradiance = gather_irradiance(self.emitters, materials, sensors, seed)
+                self.irradiance = gather_irradiance(self.emitters, self.materials, sensors, seed)
         if self.irradiance is not None and self.irradiance.light_weights.size:
             weights = self.irradiance.light_weights
             self.emitters.light_sampler = LightSampler(self.scene, self.sky_guide, weights)
@@ -184,6 +226,8 @@ class PathTracer:
         ``entries`` are the index (N,), row by row, of a cell of an image of ``size`` (columns, rows), and the
         first position (N,) in the cell's sequence of samples.
         """
+        from datagen.rendering.plugins import rays_through  # needs a selected variant
+
         cells, firsts = entries
         num_lanes = cells.size * count
         film = sensor.film().crop_size()
@@ -200,14 +244,39 @@ class PathTracer:
             corner = mi.Point2f(mi.Float(cell - row * width), mi.Float(row))
             cell_px: Any = mi.Vector2f(film[0] / size[0], film[1] / size[1])
             dr.make_opaque(cell_px)
-            limit_of_paths = dr.opaque(mi.Float, limit)
-            with undisturbed():
-                channels = self._recorded(
-                    self.scene, sampler, sensor.view, corner, cell_px, limit_of_paths, with_visible_emission
-                )
+            ray = rays_through(sensor.view, (corner + sampler.next_2d()) * cell_px)
+            direct, indirect = self.sample(sampler, ray, with_visible_emission)
+            kept = dr.minimum(dr.opaque(mi.Float, limit) / dr.maximum(dr.max(indirect), TINY), 1.0)
+            channels = [*(direct + indirect * kept), mi.luminance(indirect) * (1.0 - kept)]
             sums = [dr.block_sum(channel, count) for channel in channels]
             dr.eval(sums)
         return [np.array(s).astype(np.float64) for s in sums]
+
+    def sample(self, sampler: Any, ray: Array, with_visible_emission: bool = True) -> tuple[Any, Any]:
+        """Trace one path per camera ray; return radiance after at most one bounce, and after more.
+
+        The lanes of a vector wait for the longest of its paths. Paths that have not ended after
+        ``FIRST_SEGMENTS`` segments are therefore packed and continued in launches of their own.
+        """
+        num_paths = dr.width(ray)
+        paths = PathState(sampler, ray)
+        direct, indirect = dr.empty(mi.Color3f, num_paths), dr.empty(mi.Color3f, num_paths)
+        lanes: Any = dr.arange(mi.UInt32, num_paths)
+        num_traced, num_segments = 0, FIRST_SEGMENTS
+        while dr.width(lanes):
+            if dr.width(lanes) < MIN_PACKED:
+                num_segments = UNLIMITED
+            count = dr.opaque(mi.UInt32, num_segments)
+            dr.make_opaque(paths)
+            with undisturbed():
+                paths = self._recorded(self.scene, paths, count, with_visible_emission)
+            dr.scatter(direct, paths.direct, lanes)
+            dr.scatter(indirect, paths.indirect, lanes)
+            left: Any = dr.compress(paths.active)
+            paths, lanes = _gathered(paths, left), dr.gather(mi.UInt32, lanes, left)
+            num_traced += num_segments
+            num_segments = max(1, num_traced // 2)
+        return direct, indirect
 
     def forget_recordings(self) -> None:
         """Drop the recorded kernel; the next launch records it again."""
@@ -215,43 +284,27 @@ class PathTracer:
 
     # ---- inside kernels --------------------------------------------------------------------------------
 
+    @dr.syntax
     def _trace(
-        self,
-        scene: Any,
-        sampler: Any,
-        view: tuple[Any, ...],
-        corner: Array,
-        cell_px: Array,
-        limit: Array,
-        with_visible_emission: bool,
-    ) -> list[Array]:
-        """Return red, green, blue and removed luminance of one path per lane of ``sampler``.
+        self, scene: Any, state: PathState, max_segments: Array, with_visible_emission: bool
+    ) -> PathState:
+        """Continue paths by at most ``max_segments``.
 
         Since this is recorded and replayed, everything that differs between launches is an argument.
         """
-        from datagen.rendering.plugins import rays_through  # needs a selected variant
+        from mitsuba_plugins.surface_material import SurfaceLobes  # needs a selected variant
 
-        ray = rays_through(view, (corner + sampler.next_2d()) * cell_px)
-        direct, indirect = self.sample(sampler, ray, with_visible_emission)
-        kept = dr.minimum(limit / dr.maximum(dr.max(indirect), TINY), 1.0)
-        return [*(direct + indirect * kept), mi.luminance(indirect) * (1.0 - kept)]
-
-    @dr.syntax
-    def sample(self, sampler: Any, ray: Array, with_visible_emission: bool = True) -> tuple[Array, Array]:
-        """Trace one path per camera ray; return radiance after at most one bounce, and after more."""
-        scene, emitters, ctx = self.scene, self.emitters, mi.BSDFContext()
+        emitters, materials = self.emitters, self.materials
         cache: Any = self.irradiance
-        walk = Walk(ray)  # current segment and previous vertex
-        direct = mi.Color3f(0.0)  # radiance after at most one bounce
-        indirect = mi.Color3f(0.0)  # radiance after two or more bounces
-        throughput = mi.Color3f(1.0)  # product of the BSDF weights and roulette factors of the path
+        walk, sampler, throughput = state.walk, state.sampler, state.throughput
+        direct, indirect, spread_m, active = state.direct, state.indirect, state.spread_m, state.active
         record = mi.UInt32(0)  # irradiance cache record of this vertex
-        spread_m = mi.Float(0.0)  # side in metres of the area over which the path has spread
         is_cached = mi.Bool(False)  # whether the path may end in the cache here
         cached = mi.Color3f(0.0)  # mean incident radiance from the cache
         narrow_pdf: Any = mi.Float(NARROW_PDF)  # density from which on paths do not end in the cache
-        active = mi.Bool(True)  # lanes whose path continues
-        while active:
+        segment = mi.UInt32(0)
+        while active & (segment < max_segments):
+            segment += 1
             si = walk.intersect(scene, active)
 
             # ---- emission at the end of the segment ----------------------------------------------------
@@ -263,11 +316,9 @@ class PathTracer:
             met = throughput * emission * weight
 
             active_next = active & si.is_valid() & ((walk.depth + 1 < self.max_depth) | ~is_seen)
-            bsdf = si.bsdf()
 
             # ---- emitter sampling ------------------------------------------------------------------------
-            is_smooth = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-            active_emitter = active_next & is_seen & is_smooth
+            active_emitter = active_next & is_seen
             if dr.hint(cache is not None, mode="scalar"):
                 returns = active_next & is_seen & (walk.depth > 0)
                 spread = spread_of(walk.previous, walk.previous_pdf, si, walk.ray.d)
@@ -283,29 +334,35 @@ class PathTracer:
             wo = si.to_local(ds.d)
 
             # ---- BSDF: value towards the emitter, and sample of the next direction ------------------------
-            value, pdf, bs, bsdf_weight = bsdf.eval_pdf_sample(
-                ctx, si, wo, sampler.next_1d(), sampler.next_2d(), active_next
-            )
+            channels = materials.reflecting_channels_at(si, active_next)
+            lobes = SurfaceLobes(channels, si, active_next, materials.has_mapped_normals)
+            value, pdf = lobes.eval_pdf(wo)
             active_emitter &= ~is_cached | (pdf >= narrow_pdf)  # cached irradiance includes direct light
+            choice: Any = sampler.next_1d()
+            passes = mi.Bool(False)
+            if dr.hint(emitters.has_transparency, mode="scalar"):
+                passes = active_next & (choice >= channels.opacity)
+                choice = choice / dr.maximum(channels.opacity, TINY)
+                value, pdf = value * channels.opacity, pdf * channels.opacity
+            if dr.hint(emitters.has_hidden, mode="scalar"):
+                passes |= active_next & ~is_seen
+            direction, bsdf_pdf, bsdf_weight = lobes.sample(choice, sampler.next_2d())
+            radiance = emitters.visible(si, ds, radiance, active_emitter)
             weight = dr.select(ds.delta, 1.0, power_heuristic(ds.pdf, pdf))
             sampled = dr.select(active_emitter, throughput * value * radiance * weight, 0.0)
             direct += dr.select(walk.depth <= 1, met, 0.0) + dr.select(walk.depth == 0, sampled, 0.0)
             indirect += dr.select(walk.depth <= 1, 0.0, met) + dr.select(walk.depth == 0, 0.0, sampled)
 
-            passes = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
-            if dr.hint(emitters.has_hidden, mode="scalar"):
-                passes |= ~is_seen
-                bsdf_weight = dr.select(is_seen, bsdf_weight, 1.0)
-
             # ---- termination in the cache ------------------------------------------------------------------
-            ends = is_cached & ~passes & (bs.pdf < narrow_pdf)
+            ends = is_cached & ~passes & (bsdf_pdf < narrow_pdf)
             indirect += dr.select(ends, throughput * bsdf_weight * cached, 0.0)
 
             # ---- next segment ------------------------------------------------------------------------------
-            throughput *= bsdf_weight
+            throughput = dr.select(passes, throughput, throughput * bsdf_weight)
             bounces = active_next & ~passes
-            is_delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
-            walk.advance(si, bounces, passes, si.to_world(bs.wo), bs.pdf, is_delta, record)
+            if dr.hint(emitters.has_transparency, mode="scalar"):
+                bsdf_pdf = bsdf_pdf * channels.opacity
+            walk.advance(si, bounces, passes, si.to_world(direction), bsdf_pdf, record=record)
 
             # ---- Russian roulette --------------------------------------------------------------------------
             largest = dr.max(throughput)
@@ -315,4 +372,7 @@ class PathTracer:
             throughput = dr.select(plays, throughput / dr.maximum(survival, 1e-30), throughput)
             continues = active_next & ~ends & (~plays | survives)
             active = continues & (largest > 0.0) & (walk.num_crossed < MAX_CROSSINGS)
-        return direct, indirect
+        result = PathState()
+        result.walk, result.sampler, result.throughput = walk, sampler, throughput
+        result.direct, result.indirect, result.spread_m, result.active = direct, indirect, spread_m, active
+        return result

@@ -201,6 +201,7 @@ def _walk(
         # Beyond the recorded vertices, a path continues until the radiosity is known; assuming 0 adds bias.
         bounces = arrives & hits & (walk.depth <= dr.select(is_known, BOUNCES, WARM_UP_BOUNCES))
         ds, radiance = emitters.sample(si, numbers, mi.UInt32(0), bounces)
+        radiance = emitters.visible(si, ds, radiance, bounces)
         cosine = dr.maximum(dr.dot(normal, ds.d), 0.0)
         weight = dr.select(ds.delta, 1.0, power_heuristic(ds.pdf, cosine * INVERSE_PI))
         direct = dr.select(bounces & (ds.pdf > 0.0), radiance * cosine * weight, 0.0)

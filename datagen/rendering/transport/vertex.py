@@ -33,12 +33,15 @@ class Walk:
 
     def __init__(self, ray: Any = None):
         self.ray: Any = dr.zeros(mi.Ray3f) if ray is None else mi.Ray3f(ray)  # segment to trace next
-        self.depth: Any = mi.UInt32(0)  # bounces before that segment
-        self.num_crossed: Any = mi.UInt32(0)  # surfaces passed through so far
-        self.previous: Any = dr.zeros(mi.Interaction3f)  # vertex of the last bounce
-        self.previous_pdf: Any = mi.Float(1.0)  # density of the direction sampled there [1/sr]
-        self.previous_is_delta: Any = mi.Bool(True)  # whether that bounce has no emitter sample for MIS
-        self.previous_record: Any = mi.UInt32(0)  # irradiance cache record of that vertex; 0: none
+        num = dr.width(self.ray)
+        self.depth: Any = dr.zeros(mi.UInt32, num)  # bounces before that segment
+        self.num_crossed: Any = dr.zeros(mi.UInt32, num)  # surfaces passed through so far
+        self.previous: Any = dr.zeros(mi.Interaction3f, num)  # vertex of the last bounce
+        self.previous_pdf: Any = dr.full(mi.Float, 1.0, num)  # density of the direction sampled there [1/sr]
+        self.previous_is_delta: Any = dr.full(mi.Bool, True, num)  # whether that bounce has no emitter sample
+        self.previous_record: Any = dr.zeros(
+            mi.UInt32, num
+        )  # irradiance cache record of that vertex; 0: none
 
     def intersect(self, scene: Any, active: Array) -> Any:
         """Surface interaction at the end of the current segment, in ``active`` lanes."""
