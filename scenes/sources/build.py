@@ -37,7 +37,7 @@ def make(name: str) -> str:
     elif kind == "object":
         source = OBJECTS[name]
         collection = modelling.tagged_collection(
-            "object", name, source.title, sm_category=source.category, sm_supports=source.supports,
+            "object", name, source.title, sm_category=source.category, sm_supports=", ".join(source.supports),
             sm_scale_range=source.scale, sm_yaw_range_rad=source.yaw_range_rad,
         )  # fmt: skip
         builder = modelling.PartBuilder(source.slots)
@@ -46,7 +46,7 @@ def make(name: str) -> str:
     else:
         room = ENVIRONMENTS[name]
         collection = modelling.tagged_collection("environment", name, room.title)
-        room.build(collection)
+        room.build(modelling.PartBuilder(room.slots), collection)
     bpy.context.view_layer.update()
     return kind
 

@@ -10,9 +10,8 @@ from dataclasses import dataclass, field
 import bpy
 import numpy as np
 
-from scenes.sources.materials.catalogue import MATERIALS
-from scenes.sources.materials.graph import Color, Graph
-from scenes.sources.materials.surfaces import SURFACES
+from scenes.sources.materials.catalogue import MATERIALS, Slot
+from scenes.sources.materials.graph import Graph
 from scenes.sources.shapes import Shape
 
 SMOOTH_DEGREES = 42.0  # edges with larger angles stay sharp; a two-step bevel has 30 degrees per step
@@ -25,25 +24,6 @@ def new_file() -> None:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.context.scene.unit_settings.system = "METRIC"
     bpy.context.scene.unit_settings.scale_length = 1.0
-
-
-@dataclass(frozen=True)
-class Slot:
-    """Default material of a slot, its classes, and the classes that may replace it.
-
-    ``source`` names a library material. Without it, the function ``graph`` builds the material with a
-    :class:`Graph`, over a unique UV layout; without both, the material is constant: ``color`` (linear Rec.709),
-    ``roughness`` (R), ``metallic``, ``ior``.
-    """
-
-    classes: tuple[str, ...]
-    replaceable_by: tuple[str, ...] = ()
-    source: str = ""
-    color: Color = (0.5, 0.5, 0.5)
-    roughness: float = 0.5
-    metallic: float = 0.0
-    ior: float = 1.5
-    graph: object = None
 
 
 @dataclass(frozen=True)
@@ -99,7 +79,7 @@ class PartBuilder:
                 material = MATERIALS[slot.source].build(graph)
                 material["sm_tile_size_m"] = MATERIALS[slot.source].tile_size_m
             elif slot.graph is not None:
-                material = slot.graph(graph)  # type: ignore[operator]
+                material = slot.graph(graph)
             else:
                 material = graph.finish(slot.color, slot.roughness, slot.metallic, slot.ior)
             material["sm_class"] = ", ".join(slot.classes)
@@ -175,5 +155,5 @@ def tag_material(material: bpy.types.Material, identity: str) -> None:
     source = MATERIALS[identity]
     _identify(material, "material", identity, source.title)
     tag(material, sm_class=", ".join(source.classes), sm_tile_size_m=source.tile_size_m)
-    if identity in SURFACES:
-        tag(material, sm_surfaces=", ".join(SURFACES[identity].split()))
+    if source.surfaces:
+        tag(material, sm_surfaces=", ".join(source.surfaces))

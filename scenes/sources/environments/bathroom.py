@@ -6,47 +6,15 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from scenes.sources.environments import bathroom_furniture, decor, kitchen_furniture, slots, storage
-from scenes.sources.environments.registry import environment
+from scenes.sources.environments import bathroom_furniture, decor, kitchen_furniture, storage
 from scenes.sources.environments.room import Door, Room, Window
-from scenes.sources.materials.graph import srgb
-from scenes.sources.modelling import PartBuilder, Slot
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import Shape, box, lathe, loft, rounded_ring, soft_box, tube
 
 TILED = 1.3
 
 
-def _slots() -> dict[str, Slot]:
-    return {
-        **slots.shell(floor="slate_tiles", wall_color="b9c6c4"),
-        **slots.greenery(),
-        "tiles": Slot(("glazed", "ceramic"), ("glazed", "stone"), "tiles_metro_green"),
-        "tile_edge": Slot(
-            ("glazed", "ceramic"),
-            ("glazed", "stone", "ceramic"),
-            color=srgb("2a4f42"),
-            roughness=0.12,
-            ior=1.55,
-        ),
-        "enamel": Slot(
-            ("glazed", "ceramic"), ("glazed", "ceramic"), color=srgb("e8e7e2"), roughness=0.08, ior=1.55
-        ),
-        "seat": Slot(("plastic",), ("plastic", "wood", "painted"), color=srgb("e3e2dd"), roughness=0.2),
-        "chrome": Slot(("metal",), ("metal",), color=(0.55, 0.556, 0.554), roughness=0.08, metallic=1.0),
-        "mirror": Slot(("metal",), (), color=(0.9, 0.9, 0.9), roughness=0.04, metallic=1.0),
-        "vanity": Slot(("wood",), ("wood", "painted"), "oak"),
-        "shelves": Slot(("wood",), ("wood", "painted", "stone"), "teak_oiled"),
-        "towels": Slot(("fabric",), ("fabric",), color=srgb("c9a25f"), roughness=0.95),
-        "towel_white": Slot(("fabric",), ("fabric",), color=srgb("d9d6cc"), roughness=0.95),
-        "mat": Slot(("fabric",), ("fabric", "organic"), "knit_cream"),
-        "stool": Slot(("wood",), ("wood", "painted"), "pine"),
-        "laundry": Slot(("organic",), ("organic", "fabric"), "wicker"),
-    }
-
-
-@environment("bathroom", "Bathroom")
-def bathroom(collection: bpy.types.Collection) -> None:
-    w = PartBuilder(_slots())
+def bathroom(w: PartBuilder, collection: bpy.types.Collection) -> None:
     windows = (Window("north", 0.0, 1.1, 1.35, 0.85, (2, 1)),)
     room = Room(w, collection, 3.0, 2.6, 2.5, windows, (Door("south", 0.85, 0.8),))
     room.build_shell(skirting=0.0)

@@ -5,38 +5,13 @@ from __future__ import annotations
 
 import bpy
 
-from scenes.sources.environments import decor, furniture, slots, storage
-from scenes.sources.environments.registry import environment
+from scenes.sources.environments import decor, furniture, storage
 from scenes.sources.environments.room import Door, Room, Window
-from scenes.sources.materials.graph import srgb
-from scenes.sources.modelling import PartBuilder, Slot
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import box, lathe, tube
 
 
-def _slots() -> dict[str, Slot]:
-    return {
-        **slots.shell(floor="parquet_mahogany", walls="wallpaper_leaf", trim="d9d4c8"),
-        **slots.pictures(),
-        **slots.greenery(),
-        **slots.books(),
-        "panelling": Slot(("painted",), ("painted", "wood"), color=srgb("b9b8a8"), roughness=0.35),
-        "table": Slot(("wood",), ("wood", "stone"), "walnut_lacquered"),
-        "chairs": Slot(("wood",), ("wood", "painted"), color=srgb("4a2c1a"), roughness=0.3),
-        "chair_seats": Slot(("fabric",), ("fabric", "leather"), color=srgb("8c3b32"), roughness=0.9),
-        "sideboard": Slot(("wood",), ("wood", "painted"), "cherry"),
-        "top": Slot(("stone",), ("stone", "wood"), "marble_white"),
-        "dresser": Slot(("painted",), ("painted", "wood"), color=srgb("56707a"), roughness=0.38),
-        "rug": Slot(("fabric",), ("fabric",), "tweed"),
-        "rug_border": Slot(("fabric",), ("fabric", "leather"), color=srgb("3a2f28"), roughness=0.9),
-        "curtains": Slot(("fabric",), ("fabric",), color=srgb("23483a"), roughness=0.92, ior=1.4),
-        "brass": Slot(("metal",), ("metal",), color=(0.89, 0.74, 0.42), roughness=0.25, metallic=1.0),
-        "mirror": Slot(("metal",), (), color=(0.9, 0.9, 0.9), roughness=0.04, metallic=1.0),
-    }
-
-
-@environment("dining_room", "Dining room")
-def dining_room(collection: bpy.types.Collection) -> None:
-    w = PartBuilder(_slots())
+def dining_room(w: PartBuilder, collection: bpy.types.Collection) -> None:
     windows = (
         Window("south", 1.05, 1.2, 0.45, 1.85, (2, 3)),
         Window("south", -1.05, 1.2, 0.45, 1.85, (2, 3)),

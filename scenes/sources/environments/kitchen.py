@@ -5,44 +5,15 @@ from __future__ import annotations
 
 import bpy
 
-from scenes.sources.environments import decor, furniture, kitchen_furniture, slots, storage
-from scenes.sources.environments.registry import environment
+from scenes.sources.environments import decor, furniture, kitchen_furniture, storage
 from scenes.sources.environments.room import Door, Room, Window
-from scenes.sources.materials.graph import srgb
-from scenes.sources.modelling import PartBuilder, Slot
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import box, lathe, tube
 
 TOP, DEEP = 0.9, 0.62
 
 
-def _slots() -> dict[str, Slot]:
-    return {
-        **slots.shell(floor="tiles_checker", wall_color="d8cdb6"),
-        **slots.greenery(),
-        **slots.pictures(),
-        "units": Slot(("painted",), ("painted", "wood"), color=srgb("4f6660"), roughness=0.38),
-        "upper_units": Slot(("painted",), ("painted", "wood"), color=srgb("d9d4c6"), roughness=0.38),
-        "worktop": Slot(("wood",), ("wood", "stone"), "oak"),
-        "splashback": Slot(("glazed", "ceramic"), ("glazed", "stone", "painted"), "tiles_white"),
-        "appliances": Slot(("metal",), ("metal", "painted"), "steel_brushed"),
-        "fridge": Slot(("painted",), ("painted", "metal"), color=srgb("e2e1dc"), roughness=0.22),
-        "dark_glass": Slot(("glass",), (), color=srgb("0b0b0c"), roughness=0.06),
-        "hob_marks": Slot(("painted",), (), color=srgb("8f9092"), roughness=0.3),
-        "knobs": Slot(("plastic",), ("plastic", "metal"), color=srgb("1d1d1f"), roughness=0.4),
-        "sink": Slot(
-            ("metal",), ("metal", "ceramic"), color=(0.56, 0.57, 0.58), roughness=0.24, metallic=1.0
-        ),
-        "table": Slot(("wood",), ("wood", "painted", "stone"), "pine"),
-        "chairs": Slot(("wood",), ("wood", "painted"), color=srgb("b98a58"), roughness=0.42),
-        "chair_seats": Slot(("fabric",), ("fabric", "leather"), color=srgb("7c8f86"), roughness=0.9),
-        "shelf": Slot(("wood",), ("wood", "painted"), "oak"),
-        "blind": Slot(("fabric",), ("fabric", "paper"), color=srgb("d8cfb8"), roughness=0.85),
-    }
-
-
-@environment("kitchen", "Kitchen")
-def kitchen(collection: bpy.types.Collection) -> None:
-    w = PartBuilder(_slots())
+def kitchen(w: PartBuilder, collection: bpy.types.Collection) -> None:
     windows = (Window("north", 0.1, 1.5, 1.06, 1.1, (2, 1)), Window("west", 0.2, 1.1, 0.9, 1.25, (2, 1)))
     room = Room(w, collection, 4.2, 3.6, 2.55, windows, (Door("south", 1.35),))
     room.build_shell()

@@ -5,40 +5,13 @@ from __future__ import annotations
 
 import bpy
 
-from scenes.sources.environments import decor, furniture, slots, storage
-from scenes.sources.environments.registry import environment
+from scenes.sources.environments import decor, furniture, storage
 from scenes.sources.environments.room import Door, Room, Window
-from scenes.sources.materials.graph import srgb
-from scenes.sources.modelling import PartBuilder, Slot
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import box, extrude, rounded_rectangle
 
 
-def _slots() -> dict[str, Slot]:
-    return {
-        **slots.shell(floor="oak_planks", wall_color="cfd2c6"),
-        **slots.books(),
-        **slots.pictures(),
-        **slots.greenery(),
-        "sofa": Slot(("fabric",), ("fabric", "leather"), "canvas_grey"),
-        "sofa_legs": Slot(("wood",), ("wood", "metal"), color=srgb("4a3322"), roughness=0.4),
-        "armchair": Slot(("leather",), ("leather", "fabric"), "leather_brown"),
-        "cushion_a": Slot(("fabric",), ("fabric", "leather"), color=srgb("b9783c"), roughness=0.9),
-        "cushion_b": Slot(("fabric",), ("fabric", "leather"), color=srgb("4e6784"), roughness=0.88, ior=1.45),
-        "coffee_table": Slot(("wood",), ("wood", "stone", "painted"), "oak"),
-        "side_table": Slot(("painted",), ("painted", "wood", "metal"), color=srgb("2c2e30"), roughness=0.4),
-        "sideboard": Slot(("wood",), ("wood", "painted"), "walnut_lacquered"),
-        "shelves": Slot(("painted",), ("painted", "wood"), color=srgb("dcdad2"), roughness=0.4),
-        "rug": Slot(("fabric",), ("fabric",), "wool_carpet_cream"),
-        "rug_border": Slot(("fabric",), ("fabric", "leather"), color=srgb("5c5348"), roughness=0.9),
-        "curtains": Slot(("fabric",), ("fabric",), color=srgb("b3a58a"), roughness=0.9, ior=1.45),
-        "tv_case": Slot(("plastic",), (), color=srgb("17181a"), roughness=0.35),
-        "tv_screen": Slot(("glass",), (), color=srgb("08090a"), roughness=0.08),
-    }
-
-
-@environment("living_room", "Living room")
-def living_room(collection: bpy.types.Collection) -> None:
-    w = PartBuilder(_slots())
+def living_room(w: PartBuilder, collection: bpy.types.Collection) -> None:
     windows = (Window("east", 0.95, 1.35, 0.6, 1.65, (2, 2)), Window("east", -0.95, 1.35, 0.6, 1.65, (2, 2)))
     room = Room(w, collection, 5.2, 4.4, 2.6, windows, (Door("west", -1.45),))
     room.build_shell()
@@ -116,7 +89,7 @@ def _storage(room: Room) -> None:
             share = (0.92, 0.55, 0.0, 0.7, 0.45)[(k + 2 * column) % 5]
             if share:
                 start = (left + 0.005, -0.285 + 0.19, z + 0.0005)
-                storage.book_row(w, slots.BOOKS, start, share * bay, height=0.33, seed=10 * k + column)
+                storage.book_row(w, storage.BOOKS, start, share * bay, height=0.33, seed=10 * k + column)
             free = bay * (1 - share) - 0.09
             if free > 0.15:
                 name, centre = f"bookcase {k}.{column}", left + bay - free / 2 - 0.015

@@ -8,6 +8,9 @@ import numpy as np
 from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import Point, Shape, box, join, lathe, sheet, tube
 
+BOOKS = ("book_red", "book_blue", "book_green", "book_cream", "book_black", "book_ochre")
+"""Slots of the covers of books in rooms."""
+
 
 def shelf_unit(
     w: PartBuilder, part: str, size: Point, levels: tuple[float, ...], columns: int = 1,

@@ -6,49 +6,13 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from scenes.sources.environments import decor, furniture, slots, storage
-from scenes.sources.environments.registry import environment
+from scenes.sources.environments import decor, furniture, storage
 from scenes.sources.environments.room import Door, Room, Window
-from scenes.sources.materials.graph import srgb
-from scenes.sources.modelling import PartBuilder, Slot
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import box, cylinder, extrude, frame, lathe, rounded_rectangle, soft_box, tube
 
 
-def _slots() -> dict[str, Slot]:
-    return {
-        **slots.shell(floor="grey_oak_planks", wall_color="8c9a9c"),
-        **slots.books(),
-        **slots.pictures(),
-        **slots.greenery(),
-        "desk": Slot(("wood",), ("wood", "painted", "glazed"), "walnut_lacquered"),
-        "desk_legs": Slot(("painted",), ("painted", "metal", "wood"), color=srgb("232426"), roughness=0.45),
-        "drawers": Slot(("painted",), ("painted", "wood", "metal"), color=srgb("c9c6bd"), roughness=0.35),
-        "chair_shell": Slot(("leather",), ("leather", "fabric"), "leather_black"),
-        "chair_base": Slot(
-            ("metal",),
-            ("metal", "plastic", "painted"),
-            color=(0.55, 0.55, 0.56),
-            roughness=0.25,
-            metallic=1.0,
-        ),
-        "castors": Slot(("plastic",), ("plastic", "rubber"), color=srgb("1a1a1b"), roughness=0.45),
-        "bookcase": Slot(("wood",), ("wood", "painted"), "cherry"),
-        "armchair": Slot(("fabric",), ("fabric", "leather"), "velvet_green"),
-        "armchair_legs": Slot(("wood",), ("wood", "metal"), color=srgb("3a281b"), roughness=0.35),
-        "rug": Slot(("fabric",), ("fabric",), "carpet_blue"),
-        "blind": Slot(("fabric",), ("fabric", "paper", "organic"), color=srgb("d5cdba"), roughness=0.85),
-        "board": Slot(("organic",), ("organic", "fabric"), "cork"),
-        "note_a": Slot(("paper",), ("paper",), color=srgb("e4dfc8"), roughness=0.9),
-        "note_b": Slot(("paper",), ("paper",), color=srgb("d7b65a"), roughness=0.9),
-        "bin": Slot(
-            ("metal",), ("metal", "painted", "organic"), color=(0.45, 0.45, 0.46), roughness=0.4, metallic=1.0
-        ),
-    }
-
-
-@environment("study", "Study")
-def study(collection: bpy.types.Collection) -> None:
-    w = PartBuilder(_slots())
+def study(w: PartBuilder, collection: bpy.types.Collection) -> None:
     windows = (Window("north", -0.45, 1.5, 0.88, 1.35, (2, 1)), Window("east", 0.2, 0.9, 0.88, 1.35, (1, 2)))
     room = Room(w, collection, 3.8, 3.2, 2.5, windows, (Door("south", 1.2),))
     room.build_shell(skirting=0.11)
@@ -149,7 +113,7 @@ def _bookcase(room: Room) -> None:
             share = (0.95, 0.62, 0.9, 0.0, 0.85, 0.5, 0.95)[(2 * k + 3 * column) % 7]
             if share:
                 start, seed = (left + 0.005, -0.275 + 0.19, z + 0.0005), 100 + 10 * k + column
-                storage.book_row(w, slots.BOOKS, start, share * bay, height=0.3, seed=seed)
+                storage.book_row(w, storage.BOOKS, start, share * bay, height=0.3, seed=seed)
             free = bay * (1 - share) - (0.09 if share else 0.02)
             if free > 0.13:
                 name, s = f"bookcase {k}.{column}", 0.2 + left + bay - free / 2 - 0.012

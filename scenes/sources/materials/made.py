@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from bpy.types import Material
 
-from scenes.sources.materials.graph import Color, Graph, Value
+from scenes.sources.materials.graph import Color, Graph, Value, srgb
 
 
 def plain(g: Graph, color: Color, rough: float, *, metal: float = 0.0, ior: float = 1.5) -> Material:
@@ -219,3 +219,18 @@ def brick(
     color = g.shade(g.mix(g.random(cell.number, seed), clay, second), g.line(body, 0, 1, 0.78, 1.2))
     color = g.mix(border, color, g.shade(mortar, g.line(body, 0, 1, 0.85, 1.1)))
     return g.finish(color, g.line(body, 0, 1, 0.95, 0.82))
+
+
+def screen(g: Graph, seed: float = 1.0) -> Material:
+    """A switched-off screen with smears."""
+    return g.finish(
+        srgb("0a0b0d"), g.add(0.07, g.mul(g.fit(g.noise(4, detail=3, seed=seed), 0.5, 1.0), 0.12))
+    )
+
+
+def grille(g: Graph, count: int = 24, color: Color = srgb("26282a")) -> Material:
+    """A panel with ``count`` x ``count`` round holes."""
+    cell = g.cells(count, count, shift="half")
+    away = g.length(g.math("SUBTRACT", part, 0.5) for part in (cell.x, cell.y))
+    hole = g.line(away, 0.27, 0.33, 1.0, 0.0)
+    return g.finish(g.mix(hole, color, srgb("050505")), g.line(hole, 0, 1, 0.4, 0.9))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from bpy.types import Material
 
-from scenes.sources.materials.graph import Color, Graph, Value
+from scenes.sources.materials.graph import Color, Graph, Value, srgb
 
 
 def wood(
@@ -305,3 +305,42 @@ def soil(g: Graph, dark: Color, light: Color, *, seed: float = 1.0) -> Material:
     bark = g.fit(g.voronoi(34, seed=seed).outputs["Distance"], 0.15, 0.3, 1, 0)
     color = g.mix(g.mul(bark, 0.5), g.mix(crumb, dark, light), g.shade(light, 1.4))
     return g.finish(color, g.line(crumb, 0, 1, 0.98, 0.88))
+
+
+def apple_skin(g: Graph) -> Material:
+    """Skin of an apple: streaks of red on yellow, with pale dots."""
+    streak = g.noise(18, 1.5, detail=3, seed=2.0, spread=0.3)
+    blush = g.fit(g.add(g.mul(g.noise(2, detail=2, seed=4.0), 0.7), g.mul(streak, 0.4)), 0.25, 0.8)
+    dots = g.fit(g.voronoi(30, seed=3.0).outputs["Distance"], 0.06, 0.14, 1.0, 0.0)
+    color = g.mix(g.mul(dots, 0.4), g.mix(blush, srgb("c7a53c"), srgb("8e1f1a")), srgb("dcc48a"))
+    return g.finish(color, g.line(streak, 0, 1, 0.26, 0.36), ior=1.42)
+
+
+def orange_skin(g: Graph) -> Material:
+    """Skin of an orange, with pores."""
+    pore = g.fit(g.voronoi(34, seed=5.0).outputs["Distance"], 0.05, 0.4)
+    return g.finish(
+        g.shade(srgb("d9781a"), g.line(pore, 0, 1, 0.7, 1.08)), g.line(pore, 0, 1, 0.55, 0.36), ior=1.45
+    )
+
+
+def banana_skin(g: Graph) -> Material:
+    """Banana skin: v is 0 at the stalk and 1 at the blossom end; ridges are at multiples of 1/5 in u."""
+    _, v = g.uv()
+    along = g.add(v, g.mul(g.noise(5, 4, detail=2, seed=3.0), 0.03))
+    ripe = g.ramp(
+        along,
+        (0.0, srgb("5d4a22")),
+        (0.05, srgb("857a35")),
+        (0.16, srgb("a8a23a")),
+        (0.3, srgb("d8b737")),
+        (0.86, srgb("d9b334")),
+        (0.95, srgb("93832f")),
+        (0.985, srgb("33271a")),
+    )
+    specks = g.fit(g.voronoi(13, 26, seed=2.0).outputs["Distance"], 0.1, 0.2, 1.0, 0.0)
+    bruise = g.fit(g.noise(4, 7, detail=4, seed=9.0), 0.72, 0.95)
+    ridge = g.fit(g.wave(5, 0, g.noise(6, 8, seed=5.0), 0.5), 0.965, 1.0)
+    marks = g.add(g.mul(specks, g.fit(g.noise(5, 6, seed=6.0), 0.45, 0.8, 0.0, 0.7)), g.mul(ridge, 0.45))
+    color = g.mix(g.math("MAXIMUM", marks, g.mul(bruise, 0.6)), ripe, srgb("6a4a1f"))
+    return g.finish(color, g.line(g.noise(12, 20, seed=7.0), 0, 1, 0.4, 0.52), ior=1.42)

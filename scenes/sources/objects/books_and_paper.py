@@ -3,16 +3,10 @@
 
 from __future__ import annotations
 
-from functools import partial
-
-import bpy
 import numpy as np
 
 from scenes.sources.environments import storage
-from scenes.sources.materials import art, natural
-from scenes.sources.materials.graph import Graph, srgb
-from scenes.sources.modelling import PartBuilder, Slot
-from scenes.sources.objects.registry import cloth, metal, painted, paper, plastic, thing, wood
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import (
     Shape,
     box,
@@ -27,16 +21,6 @@ from scenes.sources.shapes import (
     vessel,
 )
 
-_PAGES = Slot(("paper",), (), color=srgb("d8d0ba"), roughness=0.92)
-
-
-def _cover(code: str, rough: float = 0.45) -> Slot:
-    return Slot(("paper",), ("paper", "leather", "fabric"), color=srgb(code), roughness=rough)
-
-
-def _page(g: Graph) -> bpy.types.Material:
-    return natural.print_lines(g, srgb("dad3c0"), srgb("25231f"), rows=30, gloss=0.8, seed=6.0)
-
 
 def lying_book(thick: float, length: float, deep: float) -> tuple[Shape, Shape]:
     """The cover and pages of a book that lies on z = 0, about the z axis, with its spine towards -y."""
@@ -45,27 +29,12 @@ def lying_book(thick: float, length: float, deep: float) -> tuple[Shape, Shape]:
     return place[0], place[1]
 
 
-@thing(
-    "Book",
-    "book",
-    cover=Slot(("leather",), ("leather", "paper", "fabric"), "leather_red"),
-    pages=_PAGES,
-)
 def book_single(w: PartBuilder) -> None:
     cover, pages = lying_book(0.034, 0.22, 0.15)
     w["book", "cover"] += cover
     w["book", "pages"] += pages
 
 
-@thing(
-    "Stack of books",
-    "book",
-    first=_cover("38475c"),
-    second=_cover("a5482f"),
-    third=_cover("cdbf9d"),
-    fourth=_cover("2e4a3a"),
-    pages=_PAGES,
-)
 def book_stack(w: PartBuilder) -> None:
     z = 0.0
     for slot, thick, length, deep, angle in (
@@ -79,8 +48,6 @@ def book_stack(w: PartBuilder) -> None:
         z += thick + 0.0003
 
 
-@thing("Books between bookends", "book", supports="shelf, table, counter", yaw=60, first=_cover("6d2b2b"), second=_cover("2b4a5e"), third=_cover("b89a52"), fourth=_cover("47503f"),
-       pages=_PAGES, iron=painted("222325", 0.45))  # fmt: skip
 def book_row(w: PartBuilder) -> None:
     covers = ("first", "second", "third", "fourth")
     storage.book_row(w, covers, (-0.12, 0.09, 0.0), width=0.225, height=0.28, seed=19)
@@ -92,13 +59,6 @@ def book_row(w: PartBuilder) -> None:
         ]
 
 
-@thing(
-    "Open book",
-    "book",
-    cover=_cover("34302c"),
-    page=Slot(("paper",), (), graph=_page),
-    edge=_PAGES,
-)
 def book_open(w: PartBuilder) -> None:
     t = np.linspace(0, 1, 14)
     for side in (-1, 1):
@@ -119,19 +79,6 @@ def book_open(w: PartBuilder) -> None:
     w["cover", "cover"] += box((0.295, 0.22, 0.003), bevel=0.001)
 
 
-def _magazine(ground: str, ink: str, seed: float) -> Slot:
-    return Slot(
-        ("paper",), (), graph=partial(art.cover, ground=srgb(ground), ink=srgb(ink), seed=seed, rough=0.3)
-    )
-
-
-@thing(
-    "Magazines",
-    "book",
-    front=_magazine("c9bfa8", "7a2620", 3.0),
-    second=_cover("4f6a78", 0.3),
-    third=_cover("b7a16a", 0.3),
-)
 def magazines(w: PartBuilder) -> None:
     for k, (slot, angle) in enumerate((("second", 7.0), ("third", -12.0), ("second", 3.0))):
         w["magazines", slot] += (
@@ -148,14 +95,6 @@ def _closed_magazine() -> Shape:
 
 
 # boxes -------------------------------------------------------------------------------------------------------
-@thing(
-    "Cardboard box",
-    "box",
-    supports="table, shelf, counter, floor",
-    scale=(0.8, 1.25),
-    board=Slot(("paper",), ("paper",), "cardboard"),
-    tape=plastic("b08a54", 0.25),
-)
 def box_cardboard(w: PartBuilder) -> None:
     t, x, y, h = 0.004, 0.3, 0.22, 0.2
     walls = [box((x, t, h), (0, s * (y / 2 - t / 2), 0), 0.0012, grain=0) for s in (-1, 1)] + [
@@ -177,12 +116,6 @@ def box_cardboard(w: PartBuilder) -> None:
     ]
 
 
-@thing(
-    "Wooden box with a lid",
-    "box",
-    wood=wood("walnut_lacquered"),
-    brass=metal((0.86, 0.70, 0.38), 0.25),
-)
 def box_wooden(w: PartBuilder) -> None:
     w["box", "wood"] += [
         box((0.24, 0.16, 0.07), bevel=0.003, segments=2, grain=0),
@@ -196,13 +129,6 @@ def box_wooden(w: PartBuilder) -> None:
         w["box", "brass"] += tube([(x - 0.014, 0.084, 0.071), (x + 0.014, 0.084, 0.071)], 0.004, 8)
 
 
-@thing(
-    "Wicker basket",
-    "box",
-    supports="floor, table, counter, shelf",
-    weave=Slot(("organic",), ("organic", "fabric"), "wicker"),
-    lining=cloth("d3c9b2"),
-)
 def basket(w: PartBuilder) -> None:
     w["basket", "weave"] += vessel(
         [(0.12, 0.002), (0.135, 0.012), (0.15, 0.08), (0.158, 0.15)], 0.009, smooth=3
@@ -218,19 +144,11 @@ def basket(w: PartBuilder) -> None:
     )
 
 
-@thing(
-    "Shoe box",
-    "box",
-    supports="floor, shelf, table, counter",
-    body=paper("b8b0a0"),
-    lid=paper("3e5560", 0.5),
-)
 def box_shoe(w: PartBuilder) -> None:
     w["box", "body"] += box((0.325, 0.195, 0.11), bevel=0.0012)
     w["box", "lid"] += box((0.331, 0.201, 0.036), (0, 0, 0.079), 0.0015, 2)
 
 
-@thing("Biscuit tin", "box", tin=painted("2f4f63", 0.22), rim=metal((0.75, 0.62, 0.36), 0.2))
 def box_tin(w: PartBuilder) -> None:
     sides = [(0, 0), (0.087, 0), (0.09, 0.003), (0.09, 0.06), (0.0925, 0.0605), (0.0925, 0.085)]
     lid = [(0.088, 0.0905), (0.08, 0.0905), (0.078, 0.088), (0, 0.089)]
@@ -240,13 +158,6 @@ def box_tin(w: PartBuilder) -> None:
     ]
 
 
-@thing(
-    "Paper bag",
-    "box",
-    supports="table, counter, floor",
-    paper=Slot(("paper",), ("paper",), "paper_kraft"),
-    handle=paper("8a6a44"),
-)
 def bag_paper(w: PartBuilder) -> None:
     x, y, h, t = 0.11, 0.06, 0.3, 0.0012
     rings = []

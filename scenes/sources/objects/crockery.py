@@ -6,11 +6,6 @@ from __future__ import annotations
 import numpy as np
 
 from scenes.sources.modelling import PartBuilder
-from scenes.sources.objects.registry import (
-    fixed,
-    glaze,
-    thing,
-)
 from scenes.sources.shapes import Shape, cylinder, hoop, lathe, tube, vessel
 
 
@@ -25,7 +20,6 @@ def handle(
     return bar.scaled(1, 1.35, 1)
 
 
-@thing("Mug", "crockery", glaze=glaze("d8d2c4"))
 def mug(w: PartBuilder) -> None:
     w["mug", "glaze"] += vessel(
         [(0.036, 0.002), (0.0385, 0.007), (0.0405, 0.04), (0.0408, 0.07), (0.041, 0.094)],
@@ -35,14 +29,12 @@ def mug(w: PartBuilder) -> None:
     w["mug", "glaze"] += handle(0.024, 0.077, 0.0385, 0.0395, 0.031)
 
 
-@thing("Enamel mug", "crockery", enamel=glaze("27506b", 0.14), rim=fixed("14161a", 0.2, "glazed"))
 def mug_two_tone(w: PartBuilder) -> None:
     w["mug", "enamel"] += vessel([(0.040, 0.001), (0.0425, 0.004), (0.043, 0.04), (0.0435, 0.08)], 0.0022)
     w["mug", "enamel"] += handle(0.02, 0.062, 0.042, 0.0425, 0.032, 0.004)
     w["mug", "rim"] += hoop(0.0425, 0.0021, 0.0812, 40, 8)
 
 
-@thing("Bowl", "crockery", glaze=glaze("cfc4ae", source="glaze_speckled"))
 def bowl(w: PartBuilder) -> None:
     w["bowl", "glaze"] += vessel(
         [(0.034, 0.004), (0.036, 0.008), (0.055, 0.022), (0.074, 0.047), (0.081, 0.072)],
@@ -51,13 +43,6 @@ def bowl(w: PartBuilder) -> None:
     )
 
 
-@thing(
-    "Stack of bowls",
-    "crockery",
-    first=glaze("b9c7c4"),
-    second=glaze("e3ded2"),
-    third=glaze("4a6a7c"),
-)
 def bowls_stacked(w: PartBuilder) -> None:
     for i, slot in enumerate(("first", "second", "third")):
         outside = [(0.033, 0.003), (0.036, 0.008), (0.058, 0.026), (0.072, 0.05), (0.076, 0.062)]
@@ -65,7 +50,6 @@ def bowls_stacked(w: PartBuilder) -> None:
         w["bowls", slot] += shape.moved(0.002 * i, -0.0015 * i, 0.0155 * i)
 
 
-@thing("Dinner plate", "crockery", glaze=glaze("e6e3da"))
 def plate(w: PartBuilder) -> None:
     w["plate", "glaze"] += _plate(0.132)
 
@@ -78,7 +62,6 @@ def _plate(radius: float) -> Shape:
     return lathe(profile, 48)
 
 
-@thing("Stack of plates", "crockery", glaze=glaze("e2ded3"), band=glaze("35566b"))
 def plates_stacked(w: PartBuilder) -> None:
     for i in range(5):
         w["plates", "band" if i % 2 else "glaze"] += (
@@ -89,7 +72,6 @@ def plates_stacked(w: PartBuilder) -> None:
         )
 
 
-@thing("Cup and saucer", "crockery", glaze=glaze("ece9e2"), coffee=fixed("1c0e07", 0.06))
 def cup_and_saucer(w: PartBuilder) -> None:
     w["saucer", "glaze"] += _plate(0.074)
     cup = vessel(
@@ -100,7 +82,6 @@ def cup_and_saucer(w: PartBuilder) -> None:
     w["cup", "coffee"] += cylinder(0.0385, 0.004, (0, 0, 0.0505), 0.0008, 40)
 
 
-@thing("Teapot", "crockery", glaze=glaze("a9c2ab", source="glaze_celadon"))
 def teapot(w: PartBuilder) -> None:
     w["pot", "glaze"] += vessel(
         [(0.043, 0.003), (0.05, 0.008), (0.078, 0.04), (0.08, 0.065), (0.062, 0.098), (0.043, 0.11)],
@@ -115,7 +96,6 @@ def teapot(w: PartBuilder) -> None:
     w["pot", "glaze"] += [spout, handle(0.035, 0.095, 0.074, 0.062, 0.05, 0.0065)]
 
 
-@thing("Jug", "crockery", glaze=glaze("5f7f95"))
 def jug(w: PartBuilder) -> None:
     lower = [(0.044, 0.002), (0.05, 0.008), (0.062, 0.05), (0.058, 0.1)]
     upper = [(0.042, 0.15), (0.046, 0.185), (0.05, 0.195)]

@@ -3,14 +3,9 @@
 
 from __future__ import annotations
 
-from functools import partial
-
-import bpy
 import numpy as np
 
-from scenes.sources.materials.graph import Graph, srgb
-from scenes.sources.modelling import PartBuilder, Slot
-from scenes.sources.objects.registry import cloth, fixed, leather, metal, plastic, rubber, thing, wood
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import (
     box,
     cylinder,
@@ -25,25 +20,6 @@ from scenes.sources.shapes import (
 )
 
 
-def _screen(g: Graph, seed: float = 1.0) -> bpy.types.Material:
-    """A switched-off screen with smears."""
-    return g.finish(
-        srgb("0a0b0d"), g.add(0.07, g.mul(g.fit(g.noise(4, detail=3, seed=seed), 0.5, 1.0), 0.12))
-    )
-
-
-SCREEN = Slot(("glass",), (), graph=_screen)
-
-
-def _grille(g: Graph, count: int = 24, color: str = "26282a") -> bpy.types.Material:
-    cell = g.cells(count, count, shift="half")
-    away = g.length(g.math("SUBTRACT", part, 0.5) for part in (cell.x, cell.y))
-    hole = g.line(away, 0.27, 0.33, 1.0, 0.0)
-    return g.finish(g.mix(hole, srgb(color), srgb("050505")), g.line(hole, 0, 1, 0.4, 0.9))
-
-
-@thing("Table radio", "electronics", yaw=60, case=wood("walnut_lacquered"), front=plastic("d6cdb8", 0.4), grille=Slot(("plastic",), (), graph=partial(_grille, count=30, color="b9ae96")),
-       knob=metal((0.86, 0.72, 0.42), 0.25), dial=fixed("33261a", 0.15, "glass"))  # fmt: skip
 def radio(w: PartBuilder) -> None:
     w["radio", "case"] += soft_box((0.3, 0.13, 0.17), (0, 0, 0.008), 0.022, (0, 0, 0), 8)
     w["radio", "front"] += (
@@ -68,13 +44,6 @@ def radio(w: PartBuilder) -> None:
     w["radio", "knob"] += tube(handle, 0.0045, 10, smooth=3)
 
 
-@thing(
-    "Headphones",
-    "electronics",
-    pads=leather("leather_black"),
-    shell=plastic("2a2b2e", 0.35),
-    steel=metal(rough=0.2),
-)
 def headphones(w: PartBuilder) -> None:
     # modelled in the pose in which they rest on the cups
     arch = [(0.083 * np.cos(a), 0.02 + 0.1 * np.sin(a), 0.0) for a in np.linspace(0.06, np.pi - 0.06, 15)]
@@ -110,16 +79,6 @@ def headphones(w: PartBuilder) -> None:
     w["band", "pads"] += pad.moved(z=0.034).bent(leaning)
 
 
-@thing(
-    "Loudspeaker",
-    "electronics",
-    supports="table, shelf, counter, floor",
-    yaw=40,
-    case=wood("oak"),
-    cloth=cloth("4a4a4c"),
-    cone=plastic("18181a", 0.5),
-    ring=metal(rough=0.3),
-)
 def speaker(w: PartBuilder) -> None:
     w["speaker", "case"] += box((0.18, 0.22, 0.3), (0, 0, 0.006), 0.006, 2, grain=2)
     w["speaker", "cone"] += (
@@ -140,17 +99,6 @@ def speaker(w: PartBuilder) -> None:
             w["speaker", "cloth"] += cylinder(0.01, 0.007, (x, y, 0), 0.002, 14)
 
 
-@thing(
-    "Laptop",
-    "electronics",
-    supports="table, counter",
-    yaw=70,
-    case=Slot(
-        ("metal",), ("metal", "plastic", "painted"), color=(0.70, 0.71, 0.72), roughness=0.38, metallic=1.0
-    ),
-    keys=plastic("1c1d1f", 0.5),
-    screen=SCREEN,
-)
 def laptop(w: PartBuilder) -> None:
     w["base", "case"] += extrude(rounded_rectangle(0.32, 0.22, 0.012, 5), 0.013, 0.003, 2).moved(z=0.001)
     for row in range(5):
@@ -175,21 +123,11 @@ def laptop(w: PartBuilder) -> None:
     w["base", "case"] += tube([(-0.13, 0.108, 0.0135), (0.13, 0.108, 0.0135)], 0.0045, 10)
 
 
-@thing("Phone", "electronics", case=plastic("22303a", 0.3), screen=SCREEN)
 def phone(w: PartBuilder) -> None:
     w["phone", "case"] += extrude(rounded_rectangle(0.072, 0.148, 0.011, 6), 0.0078, 0.0024, 3)
     w["phone", "screen"] += panel(0.0655, 0.1405).turned("x", -90).moved(0, -0.07025, 0.00795)
 
 
-@thing(
-    "Camera",
-    "electronics",
-    yaw=70,
-    body=plastic("1b1b1c", 0.55),
-    top=metal((0.56, 0.57, 0.58), 0.32),
-    skin=leather("leather_black"),
-    glass=fixed("0a0c12", 0.04, "glass"),
-)
 def camera(w: PartBuilder) -> None:
     outline = rounded_rectangle(0.132, 0.036, 0.012, 5)
     w["camera", "skin"] += extrude(outline, 0.05, 0.002).moved(z=0.01)
@@ -214,15 +152,6 @@ def camera(w: PartBuilder) -> None:
     w["camera", "glass"] += box((0.016, 0.002, 0.009), (-0.004, -0.0172, 0.078), 0.0006)
 
 
-@thing(
-    "Keyboard",
-    "electronics",
-    supports="table",
-    yaw=30,
-    case=plastic("d3cdc0", 0.45),
-    keys=plastic("e6e1d4", 0.4),
-    dark=plastic("8b8779", 0.42),
-)
 def keyboard(w: PartBuilder) -> None:
     slope = np.tan(np.radians(5.0))
 
@@ -247,14 +176,6 @@ def keyboard(w: PartBuilder) -> None:
             w["keys", "keys"] += key.moved(0.125 + 0.0192 * k, y, 0.0155 + (y + 0.0675) * slope)
 
 
-@thing(
-    "Game controller",
-    "electronics",
-    body=plastic("dcdcdc", 0.38),
-    dark=rubber("222324", 0.6),
-    red=plastic("b3352c", 0.3),
-    blue=plastic("2f5fa8", 0.3),
-)
 def game_controller(w: PartBuilder) -> None:
     w["pad", "body"] += soft_box((0.145, 0.07, 0.03), (0, 0.01, 0.016), 0.014, (0, 0.002, 0.004), 8)
     for side in (-1, 1):

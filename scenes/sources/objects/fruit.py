@@ -3,16 +3,9 @@
 
 from __future__ import annotations
 
-import bpy
 import numpy as np
 
-from scenes.sources.materials.graph import Graph, srgb
-from scenes.sources.modelling import PartBuilder, Slot
-from scenes.sources.objects.registry import (
-    glaze,
-    organic,
-    thing,
-)
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import (
     Shape,
     grid,
@@ -25,28 +18,6 @@ from scenes.sources.shapes import (
     vessel,
     without_degenerate,
 )
-
-
-def _apple_skin(g: Graph) -> bpy.types.Material:
-
-    streak = g.noise(18, 1.5, detail=3, seed=2.0, spread=0.3)
-    blush = g.fit(g.add(g.mul(g.noise(2, detail=2, seed=4.0), 0.7), g.mul(streak, 0.4)), 0.25, 0.8)
-    dots = g.fit(g.voronoi(30, seed=3.0).outputs["Distance"], 0.06, 0.14, 1.0, 0.0)
-    color = g.mix(g.mul(dots, 0.4), g.mix(blush, srgb("c7a53c"), srgb("8e1f1a")), srgb("dcc48a"))
-    return g.finish(color, g.line(streak, 0, 1, 0.26, 0.36), ior=1.42)
-
-
-def _orange_skin(g: Graph) -> bpy.types.Material:
-    pore = g.fit(g.voronoi(34, seed=5.0).outputs["Distance"], 0.05, 0.4)
-    return g.finish(
-        g.shade(srgb("d9781a"), g.line(pore, 0, 1, 0.7, 1.08)), g.line(pore, 0, 1, 0.55, 0.36), ior=1.45
-    )
-
-
-APPLE = Slot(("organic",), (), graph=_apple_skin)
-
-
-ORANGE = Slot(("organic",), (), graph=_orange_skin)
 
 
 def unit(shape: Shape) -> Shape:
@@ -72,7 +43,6 @@ def apple_shapes(size: float = 0.037) -> tuple[Shape, Shape]:
     return unit(lumps), stalk
 
 
-@thing("Apple", "fruit", skin=APPLE, stalk=organic("4a3521", 0.8))
 def apple(w: PartBuilder) -> None:
     fruit, stalk = apple_shapes()
     w["apple", "skin"] += fruit
@@ -86,7 +56,6 @@ def pear_shape(segments: int) -> Shape:
     return lathe([*lower, *upper], segments, smooth=3)
 
 
-@thing("Pear", "fruit", skin=organic("9aa03c", 0.42), stalk=organic("4a3521", 0.8))
 def pear(w: PartBuilder) -> None:
     w["pear", "skin"] += pear_shape(32).bent(
         lambda p: p + np.column_stack([0.005 * (p[:, 2] / 0.1) ** 2, 0 * p[:, 2], 0 * p[:, 2]])
@@ -95,7 +64,6 @@ def pear(w: PartBuilder) -> None:
     w["pear", "stalk"] += tube(path, [0.0014, 0.0012, 0.0018], 6, smooth=2)
 
 
-@thing("Lemons", "fruit", skin=organic("d9b823", 0.4))
 def lemons(w: PartBuilder) -> None:
     for angle, x, y in ((15, 0.0, 0.0), (105, 0.062, 0.018), (-40, -0.012, 0.066)):
         lower = [(0, -0.046), (0.005, -0.0435), (0.009, -0.037), (0.021, -0.027), (0.0285, -0.01)]
@@ -103,28 +71,6 @@ def lemons(w: PartBuilder) -> None:
         body = lathe([*lower, *upper], 28, smooth=3)
         body = body.turned("y", 90).turned("z", angle)
         w["lemons", "skin"] += body.moved(x, y, -body.points[:, 2].min())
-
-
-def _banana_skin(g: Graph) -> bpy.types.Material:
-    """Banana skin: v is 0 at the stalk and 1 at the blossom end; ridges are at multiples of 1/5 in u."""
-    _, v = g.uv()
-    along = g.add(v, g.mul(g.noise(5, 4, detail=2, seed=3.0), 0.03))
-    ripe = g.ramp(
-        along,
-        (0.0, srgb("5d4a22")),
-        (0.05, srgb("857a35")),
-        (0.16, srgb("a8a23a")),
-        (0.3, srgb("d8b737")),
-        (0.86, srgb("d9b334")),
-        (0.95, srgb("93832f")),
-        (0.985, srgb("33271a")),
-    )
-    specks = g.fit(g.voronoi(13, 26, seed=2.0).outputs["Distance"], 0.1, 0.2, 1.0, 0.0)
-    bruise = g.fit(g.noise(4, 7, detail=4, seed=9.0), 0.72, 0.95)
-    ridge = g.fit(g.wave(5, 0, g.noise(6, 8, seed=5.0), 0.5), 0.965, 1.0)
-    marks = g.add(g.mul(specks, g.fit(g.noise(5, 6, seed=6.0), 0.45, 0.8, 0.0, 0.7)), g.mul(ridge, 0.45))
-    color = g.mix(g.math("MAXIMUM", marks, g.mul(bruise, 0.6)), ripe, srgb("6a4a1f"))
-    return g.finish(color, g.line(g.noise(12, 20, seed=7.0), 0, 1, 0.4, 0.52), ior=1.42)
 
 
 def banana(length: float = 0.19, bend_degrees: float = 78.0) -> Shape:
@@ -151,12 +97,6 @@ def banana(length: float = 0.19, bend_degrees: float = 78.0) -> Shape:
     return unit(outward(without_degenerate(grid(lattice, closed_u=True, unit_uv=True))))
 
 
-@thing(
-    "Bananas",
-    "fruit",
-    skin=Slot(("organic",), (), graph=_banana_skin),
-    crown=organic("54431f", 0.75),
-)
 def bananas(w: PartBuilder) -> None:
     """A hand of four bananas that rests on its blossom ends and its crown."""
     height = 0.0115  # height of the stalks above the table at the crown
@@ -175,15 +115,6 @@ def bananas(w: PartBuilder) -> None:
     w["bananas", "crown"] += crown
 
 
-@thing(
-    "Bowl of fruit",
-    "fruit",
-    bowl=glaze("36566b", 0.15),
-    apple=APPLE,
-    orange=ORANGE,
-    pear=organic("a2a545", 0.42),
-    stalk=organic("4a3521", 0.8),
-)
 def fruit_bowl(w: PartBuilder) -> None:
     w["bowl", "bowl"] += vessel(
         [(0.05, 0.004), (0.053, 0.009), (0.09, 0.03), (0.125, 0.06), (0.137, 0.08)], 0.005, foot=0.005

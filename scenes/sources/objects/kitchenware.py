@@ -5,18 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenes.sources.modelling import PartBuilder, Slot
-from scenes.sources.objects.registry import (
-    clay,
-    glaze,
-    metal,
-    organic,
-    painted,
-    plastic,
-    thing,
-    wood,
-    wood_tone,
-)
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import (
     cylinder,
     extrude,
@@ -29,13 +18,6 @@ from scenes.sources.shapes import (
 )
 
 
-@thing(
-    "Saucepan with a lid",
-    "kitchenware",
-    supports="counter, table, shelf",
-    steel=metal(rough=0.2),
-    grip=plastic("1a1a1c", 0.4),
-)
 def saucepan(w: PartBuilder) -> None:
     w["pan", "steel"] += vessel(
         [(0.084, 0.002), (0.09, 0.006), (0.091, 0.05), (0.0915, 0.1), (0.0945, 0.104)], 0.0022, smooth=3
@@ -52,12 +34,6 @@ def saucepan(w: PartBuilder) -> None:
     w["pan", "grip"] += tube(pan_path, [0.0085, 0.0105, 0.0115, 0.009], 14, smooth=4).scaled(1, 1.25, 1)
 
 
-@thing(
-    "Frying pan",
-    "kitchenware",
-    supports="counter, table",
-    iron=Slot(("metal",), ("metal",), "iron_cast"),
-)
 def frying_pan(w: PartBuilder) -> None:
     w["pan", "iron"] += vessel(
         [(0.1, 0.002), (0.106, 0.006), (0.122, 0.036), (0.128, 0.045)], 0.004, smooth=3
@@ -66,15 +42,6 @@ def frying_pan(w: PartBuilder) -> None:
     w["pan", "iron"] += tube(path, [0.011, 0.0095, 0.011, 0.012], 12, smooth=4).scaled(1, 1.2, 1)
 
 
-@thing(
-    "Knife block",
-    "kitchenware",
-    supports="counter, table",
-    yaw=70,
-    wood=wood("beech"),
-    grip=plastic("191919", 0.35),
-    steel=metal(rough=0.18),
-)
 def knife_block(w: PartBuilder) -> None:
     side = [(-0.075, 0.0), (0.075, 0.0), (0.075, 0.13), (-0.02, 0.215), (-0.075, 0.155)]
     block = extrude(side, 0.1, 0.004, 2).turned("x", 90).moved(0, 0.05, 0).turned("z", 90)
@@ -104,12 +71,6 @@ def knife_block(w: PartBuilder) -> None:
         )
 
 
-@thing(
-    "Chopping board",
-    "kitchenware",
-    supports="counter, table",
-    wood=Slot(("wood",), ("wood", "stone"), "teak_oiled"),
-)
 def chopping_board(w: PartBuilder) -> None:
     outline = rounded_rectangle(0.36, 0.22, 0.02, 5)
     w["board", "wood"] += extrude(outline, 0.02, 0.003, 2)
@@ -117,14 +78,6 @@ def chopping_board(w: PartBuilder) -> None:
     w["board", "wood"] += extrude(grip, 0.0199, 0.003, 2).moved(z=0.00005)
 
 
-@thing(
-    "Kettle",
-    "kitchenware",
-    supports="counter, table",
-    body=painted("b9c4bd", 0.22),
-    grip=wood_tone("6b4528", 0.45),
-    steel=metal(rough=0.18),
-)
 def kettle(w: PartBuilder) -> None:
     lower = [(0, 0.002), (0.088, 0.002), (0.098, 0.01), (0.102, 0.035)]
     upper = [(0.092, 0.085), (0.06, 0.125), (0.046, 0.132), (0, 0.132)]
@@ -144,15 +97,6 @@ def kettle(w: PartBuilder) -> None:
     w["kettle", "grip"] += tube(grip_path, [0.008, 0.011, 0.012, 0.011, 0.008], 12, smooth=4)
 
 
-@thing(
-    "Jar of wooden spoons",
-    "kitchenware",
-    supports="counter, table, shelf",
-    jar=clay("c9bda6", 0.6),
-    wood=wood_tone("b98d5c", 0.6),
-    dark=wood_tone("7c532f", 0.55),
-    steel=metal(rough=0.2),
-)
 def utensil_jar(w: PartBuilder) -> None:
     w["jar", "jar"] += vessel(
         [(0.05, 0.002), (0.056, 0.008), (0.058, 0.08), (0.055, 0.13), (0.058, 0.14)], 0.005, smooth=3
@@ -185,7 +129,6 @@ def utensil_jar(w: PartBuilder) -> None:
         )
 
 
-@thing("Egg cup with egg", "kitchenware", cup=glaze("d3c7a8", 0.15), egg=organic("d9b899", 0.5))
 def egg_cup(w: PartBuilder) -> None:
     w["cup", "cup"] += vessel(
         [(0.02, 0.001), (0.021, 0.004), (0.011, 0.014), (0.012, 0.022), (0.0225, 0.036), (0.0245, 0.048)],
@@ -196,7 +139,6 @@ def egg_cup(w: PartBuilder) -> None:
     w["egg", "egg"] += lathe([*lower, (0.014, 0.075), (0.006, 0.082), (0, 0.084)], 28, smooth=3)
 
 
-@thing("Pepper mill", "kitchenware", wood=wood("walnut_lacquered"), steel=metal(rough=0.15))
 def peppermill(w: PartBuilder) -> None:
     lower = [(0, 0), (0.028, 0), (0.03, 0.004), (0.029, 0.02), (0.02, 0.05)]
     upper = [(0.017, 0.08), (0.022, 0.115), (0.021, 0.13), (0.012, 0.1345), (0, 0.1345)]

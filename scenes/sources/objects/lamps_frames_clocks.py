@@ -3,25 +3,10 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from scenes.sources.environments import decor
-from scenes.sources.materials import art
-from scenes.sources.materials.graph import srgb
-from scenes.sources.modelling import PartBuilder, Slot
-from scenes.sources.objects.registry import (
-    fixed,
-    glaze,
-    metal,
-    organic,
-    painted,
-    plastic,
-    thing,
-    wood,
-    wood_tone,
-)  # fmt: skip
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import (
     Shape,
     box,
@@ -35,13 +20,6 @@ from scenes.sources.shapes import (
 )  # fmt: skip
 
 
-@thing(
-    "Table lamp",
-    "lamp",
-    base=glaze("3d6a74", 0.12),
-    metal=metal((0.91, 0.78, 0.42), 0.25),
-    shade=Slot(("fabric",), ("fabric", "paper"), color=srgb("dcd2bd"), roughness=0.85),
-)
 def lamp_table(w: PartBuilder) -> None:
     lower = [(0, 0.012), (0.05, 0.012), (0.062, 0.03), (0.082, 0.08), (0.076, 0.13)]
     upper = [(0.045, 0.18), (0.022, 0.205), (0.02, 0.215), (0, 0.215)]
@@ -54,13 +32,6 @@ def lamp_table(w: PartBuilder) -> None:
     w["shade", "shade"] += decor.drum_shade(0.105, 0.15, 0.19, 40).moved(z=0.255)
 
 
-@thing(
-    "Desk lamp",
-    "lamp",
-    paint=painted("a8352a", 0.3),
-    steel=metal(rough=0.2),
-    inside=fixed("e8e6df", 0.35, "painted"),
-)
 def lamp_desk(w: PartBuilder) -> None:
     w["base", "paint"] += lathe(
         [(0, 0), (0.085, 0), (0.09, 0.005), (0.086, 0.018), (0.03, 0.026), (0.018, 0.04), (0, 0.042)], 40
@@ -90,13 +61,6 @@ def lamp_desk(w: PartBuilder) -> None:
     )
 
 
-@thing(
-    "Lantern",
-    "lamp",
-    iron=painted("1d1e20", 0.5),
-    wax=organic("e6dcc2", 0.5),
-    wick=fixed("1a1512", 0.9),
-)
 def lantern(w: PartBuilder) -> None:
     s, h = 0.075, 0.2
     w["frame", "iron"] += [
@@ -144,50 +108,14 @@ def _standing_frame(w: PartBuilder, width: float, height: float, rim: float) -> 
     )
 
 
-_portrait = partial(art.portrait, ground=srgb("6a7f72"), skin=srgb("c99a78"), coat=srgb("31405a"))
-
-
-@thing(
-    "Photograph in a frame",
-    "frame",
-    yaw=40,
-    frame=wood_tone("5a3a22", 0.35),
-    backing=fixed("2b2622", 0.9, "paper"),
-    photo=Slot(("paper",), (), graph=_portrait),
-)
 def frame_portrait(w: PartBuilder) -> None:
     _standing_frame(w, 0.16, 0.21, 0.02)
 
 
-@thing(
-    "Brass frame",
-    "frame",
-    yaw=40,
-    frame=metal((0.86, 0.70, 0.38), 0.28),
-    backing=fixed("1f1d1b", 0.9, "paper"),
-    photo=Slot(
-        ("paper",),
-        (),
-        graph=partial(
-            art.landscape,
-            sky=(srgb("7fa6c4"), srgb("e4d6bc")),
-            hills=(srgb("7a8a78"), srgb("5a7050"), srgb("39482e")),
-            seed=15.0,
-            rough=0.3,
-        ),
-    ),
-)
 def frame_landscape(w: PartBuilder) -> None:
     _standing_frame(w, 0.22, 0.165, 0.014)
 
 
-@thing(
-    "Dressing mirror",
-    "frame",
-    yaw=50,
-    frame=metal((0.56, 0.57, 0.58), 0.15),
-    mirror=Slot(("metal",), (), color=(0.9, 0.9, 0.9), roughness=0.05, metallic=1.0),
-)
 def mirror_stand(w: PartBuilder) -> None:
     lower = [(0, 0), (0.07, 0), (0.073, 0.004), (0.066, 0.011)]
     upper = [(0.014, 0.016), (0.008, 0.03), (0.008, 0.13), (0, 0.132)]
@@ -213,9 +141,6 @@ def _hands(w: PartBuilder, at: tuple[float, float, float], radius: float, hour: 
     )
 
 
-_dial = Slot(("paper",), (), graph=partial(art.dial, ground=srgb("e9e4d6"), ink=srgb("16140f")))
-
-
 def _face(radius: float) -> Shape:
     angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     ring = np.stack([np.cos(angle), np.zeros(40), np.sin(angle)], axis=-1)
@@ -223,15 +148,6 @@ def _face(radius: float) -> Shape:
     return Shape(ring * radius, [tuple(range(40))], uv, True)
 
 
-@thing(
-    "Alarm clock",
-    "clock",
-    yaw=60,
-    case=painted("39715f", 0.25),
-    bells=metal((0.86, 0.70, 0.38), 0.2),
-    dial=_dial,
-    hands=fixed("151413", 0.4),
-)
 def clock_alarm(w: PartBuilder) -> None:
     r = 0.05
     outside = [(0, 0), (r - 0.006, 0), (r, 0.006), (r, 0.036), (r + 0.003, 0.04), (r + 0.002, 0.046)]
@@ -258,15 +174,6 @@ def clock_alarm(w: PartBuilder) -> None:
     )
 
 
-@thing(
-    "Mantel clock",
-    "clock",
-    yaw=45,
-    case=wood("cherry"),
-    brass=metal((0.86, 0.70, 0.38), 0.22),
-    dial=_dial,
-    hands=fixed("151413", 0.4),
-)
 def clock_mantel(w: PartBuilder) -> None:
     outline = [(-0.15, 0.03), (0.15, 0.03), (0.14, 0.06), (0.115, 0.085), (0.1, 0.13), (0.08, 0.165), (0.05, 0.186), (0.0, 0.194),
                (-0.05, 0.186), (-0.08, 0.165), (-0.1, 0.13), (-0.115, 0.085), (-0.14, 0.06)]  # fmt: skip
@@ -281,7 +188,6 @@ def clock_mantel(w: PartBuilder) -> None:
     _hands(w, (0, -0.0488, 0.115), 0.064, 4.4, 24)
 
 
-@thing("Kitchen timer", "clock", shell=plastic("d8d2c2", 0.3), knob=plastic("b5482f", 0.35))
 def hourglass_timer(w: PartBuilder) -> None:
     w["timer", "shell"] += lathe(
         [(0, 0), (0.03, 0), (0.034, 0.004), (0.037, 0.02), (0.033, 0.036), (0.03, 0.0375), (0, 0.0375)],

@@ -6,18 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from scenes.sources.environments import decor
-from scenes.sources.modelling import PartBuilder, Slot
-from scenes.sources.objects.registry import (
-    clay,
-    cloth,
-    fabric,
-    fixed,
-    glaze,
-    leather,
-    organic,
-    painted,
-    thing,
-)  # fmt: skip
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import (
     Shape,
     lathe,
@@ -27,10 +16,7 @@ from scenes.sources.shapes import (
     tube,
 )  # fmt: skip
 
-SEAT = "seat, bed, floor"
 
-
-@thing("Cushion", "cushion", supports=SEAT, cover=fabric("linen_blue"), piping=cloth("d9d0bc"))
 def cushion_square(w: PartBuilder) -> None:
     shape = pillow((0.45, 0.45, 0.16), 13, seed=3)
     w["cushion", "cover"] += shape
@@ -50,18 +36,10 @@ def _piping(sx: float, sy: float, z: float, radius: float, pinch: float = 0.07) 
     return tube(np.concatenate(path), radius, 6, closed=True)
 
 
-@thing("Striped cushion", "cushion", supports=SEAT, cover=fabric("ticking_stripe"))
 def cushion_stripe(w: PartBuilder) -> None:
     w["cushion", "cover"] += pillow((0.55, 0.36, 0.15), 13, seed=8)
 
 
-@thing(
-    "Round cushion",
-    "cushion",
-    supports=SEAT,
-    cover=Slot(("fabric",), ("fabric",), "velvet_rust"),
-    button=cloth("6b2f18"),
-)
 def cushion_round(w: PartBuilder) -> None:
     lower = [(0, 0.012), (0.03, 0.002), (0.1, 0.0), (0.17, 0.012), (0.196, 0.045)]
     upper = [(0.19, 0.085), (0.15, 0.108), (0.08, 0.112), (0.03, 0.1), (0.012, 0.086), (0, 0.084)]
@@ -77,7 +55,6 @@ def cushion_round(w: PartBuilder) -> None:
     w["cushion", "button"] += sphere(0.014, (0, 0, 0.09), 20, 0.55)
 
 
-@thing("Bolster", "cushion", supports=SEAT, cover=leather("leather_tan"))
 def cushion_bolster(w: PartBuilder) -> None:
     lower = [(0, 0), (0.05, 0.0), (0.082, 0.008), (0.09, 0.025), (0.092, 0.23)]
     upper = [(0.09, 0.435), (0.082, 0.452), (0.05, 0.46), (0, 0.46)]
@@ -98,27 +75,10 @@ def cushion_bolster(w: PartBuilder) -> None:
     w["cushion", "cover"] += rings
 
 
-@thing(
-    "Pot plant",
-    "plant",
-    supports="table, shelf, counter, sill, floor",
-    pot=glaze("c8c2b4", 0.2),
-    leaf=organic("3c6b2e", 0.42),
-    stem=organic("56663a", 0.6),
-    soil=fixed("22180f", 0.95, "organic"),
-)
 def plant_broad(w: PartBuilder) -> None:
     decor.plant(w, height=0.42, seed=11, pot_radius=0.075, leaves=20, leaf="leaf", stem="stem")
 
 
-@thing(
-    "Snake plant",
-    "plant",
-    supports="table, shelf, counter, sill, floor",
-    pot=clay("a8694a"),
-    leaf=organic("3a5d3a", 0.4),
-    soil=fixed("22180f", 0.95, "organic"),
-)
 def plant_snake(w: PartBuilder) -> None:
     _pot(w, 0.08, 0.13)
     rng = np.random.default_rng(4)
@@ -156,15 +116,6 @@ def _pot(w: PartBuilder, r: float, h: float) -> None:
     w["pot", "soil"] += lathe([(0.885 * r, 0.84 * h), (0.5 * r, 0.87 * h), (0, 0.86 * h)], 24)
 
 
-@thing(
-    "Cactus",
-    "plant",
-    supports="table, shelf, counter, sill",
-    pot=painted("c77d4a", 0.5),
-    leaf=organic("4f7a4a", 0.6),
-    spine=organic("d8c9a0", 0.6),
-    soil=fixed("8a7a60", 0.95, "organic"),
-)
 def cactus(w: PartBuilder) -> None:
     _pot(w, 0.05, 0.075)
     body = lathe(

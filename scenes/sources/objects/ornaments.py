@@ -6,15 +6,6 @@ from __future__ import annotations
 import numpy as np
 
 from scenes.sources.modelling import PartBuilder
-from scenes.sources.objects.registry import (
-    clay,
-    fixed,
-    metal,
-    organic,
-    stone,
-    thing,
-    wood,
-)  # fmt: skip
 from scenes.sources.shapes import (
     box,
     cylinder,
@@ -25,13 +16,6 @@ from scenes.sources.shapes import (
 )  # fmt: skip
 
 
-@thing(
-    "Candlestick",
-    "candle",
-    metal=metal((0.89, 0.74, 0.42), 0.22),
-    wax=organic("e3d9bf", 0.45),
-    wick=fixed("1a1512", 0.9),
-)
 def candlestick(w: PartBuilder) -> None:
     w["stick", "metal"] += (lathe([(0, 0), (0.05, 0), (0.052, 0.004), (0.046, 0.01), (0.02, 0.018), (0.011, 0.03), (0.009, 0.05), (0.015, 0.06), (0.009, 0.07), (0.0085, 0.12), (0.014, 0.13), (0.01, 0.138),
                                    (0.024, 0.146), (0.026, 0.15), (0.0135, 0.15), (0.013, 0.168), (0.0115, 0.168), (0.0112, 0.15), (0, 0.15)], 36))  # fmt: skip
@@ -41,13 +25,6 @@ def candlestick(w: PartBuilder) -> None:
     w["candle", "wick"] += tube([(0, 0, 0.342), (0.0006, 0, 0.35), (0.003, 0, 0.357)], 0.0008, 5)
 
 
-@thing(
-    "Candle in a bowl",
-    "candle",
-    bowl=clay("5d625f"),
-    wax=organic("d9ccb0", 0.5),
-    wick=fixed("1a1512", 0.9),
-)
 def candle_bowl(w: PartBuilder) -> None:
     w["bowl", "bowl"] += vessel([(0.03, 0.002), (0.038, 0.01), (0.047, 0.03), (0.048, 0.055)], 0.005)
     w["candle", "wax"] += lathe(
@@ -56,7 +33,6 @@ def candle_bowl(w: PartBuilder) -> None:
     w["candle", "wick"] += tube([(0, 0, 0.04), (0.001, 0, 0.052)], 0.001, 5)
 
 
-@thing("Knot", "statuette", body=stone("marble_black"), plinth=wood("ebony"))
 def statuette_knot(w: PartBuilder) -> None:
     t = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     x, y, z = np.sin(t) + 2 * np.sin(2 * t), -np.sin(3 * t) * 0.9, np.cos(t) - 2 * np.cos(2 * t)
@@ -69,7 +45,6 @@ def statuette_knot(w: PartBuilder) -> None:
     ]
 
 
-@thing("Bird", "statuette", body=clay("e2ddd2", 0.55), beak=metal((0.86, 0.70, 0.38), 0.3))
 def statuette_bird(w: PartBuilder) -> None:
     x = np.array([-0.075, -0.05, -0.02, 0.012, 0.034, 0.047, 0.058, 0.064])
     z = np.array([0.047, 0.046, 0.044, 0.048, 0.064, 0.08, 0.084, 0.083])
@@ -83,13 +58,11 @@ def statuette_bird(w: PartBuilder) -> None:
     w["bird", "body"] += lathe([(0, 0), (0.026, 0), (0.028, 0.003), (0.024, 0.016), (0, 0.018)], 28)
 
 
-@thing("Turned figure", "statuette", body=stone("marble_white"))
 def statuette_torso(w: PartBuilder) -> None:
     w["figure", "body"] += (lathe([(0, 0), (0.044, 0), (0.046, 0.004), (0.043, 0.014), (0.03, 0.022), (0.026, 0.05), (0.034, 0.09), (0.03, 0.13), (0.018, 0.155), (0.013, 0.168), (0.024, 0.176), (0.012, 0.184),
                                    (0.02, 0.196), (0.026, 0.214), (0.02, 0.235), (0, 0.242)], 44, smooth=3))  # fmt: skip
 
 
-@thing("Stone obelisk", "statuette", body=stone("granite_red"), foot=stone("marble_green"))
 def obelisk(w: PartBuilder) -> None:
     def ring(s: float, z: float) -> list[tuple[float, float, float]]:
         return [(-s, -s, z), (s, -s, z), (s, s, z), (-s, s, z)]

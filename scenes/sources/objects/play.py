@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenes.sources.modelling import PartBuilder, Slot
-from scenes.sources.objects.registry import cloth, fixed, painted, plastic, rubber, thing, wood_tone
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import (
     Shape,
     box,
@@ -21,19 +20,7 @@ from scenes.sources.shapes import (
     tube,
 )
 
-ON = "table, shelf, floor, seat, bed"
 
-
-@thing(
-    "Teddy bear",
-    "toy",
-    supports=ON,
-    yaw=90,
-    fur=Slot(("fabric",), ("fabric",), "velvet_rust"),
-    pale=cloth("c9a878"),
-    eye=fixed("0c0a09", 0.1, "plastic"),
-    bow=cloth("2f5a7c", 0.6),
-)
 def toy_bear(w: PartBuilder) -> None:
     def ball(
         radius: float, at: tuple[float, float, float], stretch: tuple[float, float, float] = (1, 1, 1)
@@ -79,19 +66,6 @@ def _half_ring(radius: float, x: float, y: float, z: float, degrees: tuple[float
     return np.column_stack([x + radius * np.cos(angle), np.full(15, y), z + radius * np.sin(angle)])
 
 
-@thing(
-    "Toy car",
-    "toy",
-    supports="table, shelf, floor",
-    paint=painted("a32a22", 0.14),
-    glass=fixed("14181c", 0.08, "glass"),
-    dark=fixed("17181a", 0.6, "plastic"),
-    tyre=rubber(),
-    hub=painted("d8d6cf", 0.25),
-    chrome=Slot(("metal",), ("metal",), color=(0.55, 0.55, 0.56), roughness=0.12, metallic=1.0),
-    lens=fixed("d9d5c4", 0.15, "plastic"),
-    lamp=fixed("7a0d0c", 0.2, "plastic"),
-)
 def toy_car(w: PartBuilder) -> None:
     """A die-cast saloon car 15 cm long: body, glass with pillars, arches, bumpers, lamps, door seams."""
     body = [
@@ -177,15 +151,6 @@ def _wheel(w: PartBuilder, x: float, side: int) -> None:
         w["wheels", slot] += shape.moved(x, side * y, 0.0175)
 
 
-@thing(
-    "Building blocks",
-    "toy",
-    supports=ON,
-    red=painted("a8322a", 0.35, False),
-    blue=painted("2d5585", 0.35, False),
-    yellow=painted("d0a030", 0.35, False),
-    bare=wood_tone("c9a06c", 0.5),
-)
 def toy_blocks(w: PartBuilder) -> None:
     s = 0.045
     cube = box((s, s, s), bevel=0.003, segments=2)
@@ -206,15 +171,6 @@ def toy_blocks(w: PartBuilder) -> None:
     )
 
 
-@thing(
-    "Rubber duck",
-    "toy",
-    supports="table, shelf, sill, counter",
-    yaw=None,
-    body=Slot(("rubber",), ("rubber", "plastic"), color=(0.80, 0.52, 0.03), roughness=0.38),
-    beak=rubber("c4541c", 0.4),
-    eye=fixed("0c0c0c", 0.15, "plastic"),
-)
 def toy_duck(w: PartBuilder) -> None:
     body = sphere(0.04, segments=32).scaled(1.25, 1.0, 0.8).moved(0, 0, 0.029)
 
@@ -238,15 +194,6 @@ def toy_duck(w: PartBuilder) -> None:
         )
 
 
-@thing(
-    "Wooden train",
-    "toy",
-    supports="table, shelf, floor",
-    green=painted("3f6a4a", 0.3, False),
-    red=painted("9c3227", 0.3, False),
-    bare=wood_tone("c7a06e", 0.5),
-    black=painted("1d1d1f", 0.35, False),
-)
 def toy_train(w: PartBuilder) -> None:
     w["engine", "green"] += [
         box((0.13, 0.052, 0.014), (0, 0, 0.012), 0.003, 2),
@@ -281,16 +228,6 @@ def toy_train(w: PartBuilder) -> None:
     w["wagon", "bare"] += tube([(0.062, 0, 0.019), (0.088, 0, 0.019)], 0.0032, 8)
 
 
-@thing(
-    "Stacking rings",
-    "toy",
-    supports=ON,
-    bare=wood_tone("cfa873", 0.5),
-    a=plastic("b23a2c", 0.3),
-    b=plastic("d99a2b", 0.3),
-    c=plastic("3f7a54", 0.3),
-    d=plastic("305f95", 0.3),
-)
 def spinning_top(w: PartBuilder) -> None:
     w["toy", "bare"] += [
         lathe([(0, 0), (0.058, 0), (0.061, 0.004), (0.056, 0.014), (0, 0.016)], 40),

@@ -7,14 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenes.sources.modelling import PartBuilder, Slot
-from scenes.sources.objects.registry import (
-    cloth,
-    fabric,
-    leather,
-    rubber,
-    thing,
-)
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import Shape, join, loft, tube
 
 
@@ -118,39 +111,13 @@ class _Shoe:
                 w[part, "lace"] += laces.moved(x=side * gap / 2, y=0.012 * side)
 
 
-@thing(
-    "Trainers",
-    "shoe",
-    supports="floor",
-    upper=fabric("canvas_grey"),
-    sole=rubber("dedbd2", 0.6),
-    lining=cloth("2d2f33"),
-    lace=cloth("e6e3da"),
-)
 def shoes_trainers(w: PartBuilder) -> None:
     _Shoe(thick=0.03).add_pair(w, 0.13)
 
 
-@thing(
-    "Leather shoes",
-    "shoe",
-    supports="floor",
-    upper=leather("leather_brown"),
-    sole=leather("leather_black"),
-    lining=cloth("a88a62", 0.7),
-    lace=cloth("2a1c12"),
-)
 def shoes_leather(w: PartBuilder) -> None:
     _Shoe(0.295, 0.096, (0.042, 0.078, 0.066), 0.014).add_pair(w, 0.125)
 
 
-@thing(
-    "Slippers",
-    "shoe",
-    supports="floor",
-    upper=Slot(("fabric",), ("fabric", "leather"), "felt_grey"),
-    sole=rubber("3b3632", 0.8),
-    lining=cloth("c9b898"),
-)
 def shoes_slippers(w: PartBuilder) -> None:
     _Shoe(0.27, 0.105, (0.052, 0.06, 0.036), 0.012, is_laced=False).add_pair(w, 0.13)

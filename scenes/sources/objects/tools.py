@@ -5,19 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenes.sources.modelling import PartBuilder, Slot
-from scenes.sources.objects.registry import (
-    cloth,
-    metal,
-    painted,
-    plastic,
-    rubber,
-    thing,
-    wood_tone,
-)
+from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import Shape, box, cylinder, extrude, lathe, loft, mirrored, tube
-
-BENCH = "table, counter, shelf, floor"
 
 
 def _lying(shape: Shape, z: float) -> Shape:
@@ -25,13 +14,6 @@ def _lying(shape: Shape, z: float) -> Shape:
     return shape.turned("y", 90).moved(z=z)
 
 
-@thing(
-    "Hammer",
-    "tool",
-    supports=BENCH,
-    steel=metal((0.42, 0.42, 0.43), 0.38),
-    wood=wood_tone("a87842", 0.5),
-)
 def hammer(w: PartBuilder) -> None:
     z = 0.0142
     lower = [(0, 0), (0.0125, 0.002), (0.0145, 0.02), (0.0138, 0.09)]
@@ -52,14 +34,6 @@ def hammer(w: PartBuilder) -> None:
         w["hammer", "steel"] += tube(path, [0.009, 0.006, 0.0025], 10, smooth=3)
 
 
-@thing(
-    "Screwdriver",
-    "tool",
-    supports=BENCH,
-    grip=plastic("b8351f", 0.2),
-    steel=metal(rough=0.2),
-    collar=rubber(),
-)
 def screwdriver(w: PartBuilder) -> None:
     lower = [(0, 0), (0.009, 0.001), (0.0145, 0.008), (0.015, 0.03), (0.0125, 0.06)]
     upper = [(0.0145, 0.085), (0.013, 0.098), (0.008, 0.104), (0, 0.104)]
@@ -79,7 +53,6 @@ def screwdriver(w: PartBuilder) -> None:
     ]
 
 
-@thing("Pliers", "tool", supports=BENCH, steel=metal((0.5, 0.5, 0.5), 0.3), grip=rubber("2b4f86", 0.55))
 def pliers(w: PartBuilder) -> None:
     for side in (-1, 1):
         jaw = ((0.0, 0.004), (0.03, 0.0095), (0.052, 0.0055), (0.072, 0.003))
@@ -94,14 +67,6 @@ def pliers(w: PartBuilder) -> None:
     ]
 
 
-@thing(
-    "Toolbox",
-    "tool",
-    supports="floor, table, counter, shelf",
-    paint=painted("a43a2a", 0.4),
-    latch=metal(rough=0.3),
-    grip=rubber("1b1b1b", 0.6),
-)
 def toolbox(w: PartBuilder) -> None:
     w["box", "paint"] += box((0.4, 0.2, 0.13), bevel=0.006, segments=2)
     lid = [(-0.1025, 0.0), (0.1025, 0.0), (0.1025, 0.03), (0.07, 0.062), (-0.07, 0.062), (-0.1025, 0.03)]
@@ -118,14 +83,6 @@ def toolbox(w: PartBuilder) -> None:
     w["box", "grip"] += tube(handle, 0.0085, 12, smooth=4)
 
 
-@thing(
-    "Paint brush",
-    "tool",
-    supports=BENCH,
-    wood=wood_tone("b5853f", 0.25),
-    ferrule=metal(rough=0.25),
-    hair=cloth("2a211a", 0.85),
-)
 def paint_brush(w: PartBuilder) -> None:
     def ring(hw: float, hd: float, x: float, z: float = 0.011) -> list[tuple[float, float, float]]:
         angle = np.linspace(0, 2 * np.pi, 20, endpoint=False)
@@ -168,14 +125,6 @@ def paint_brush(w: PartBuilder) -> None:
     )
 
 
-@thing(
-    "Tape measure",
-    "tool",
-    supports=BENCH,
-    case=plastic("d6a61f", 0.35),
-    grip=rubber(),
-    blade=Slot(("metal",), ("metal",), color=(0.8, 0.7, 0.2), roughness=0.3, metallic=1.0),
-)
 def tape_measure(w: PartBuilder) -> None:
     right, left = [(0.036, 0.0), (0.036, 0.02), (0.03, 0.046)], [(-0.014, 0.062), (-0.032, 0.045)]
     outline = [(-0.034, 0.0), *right, (0.012, 0.062), *left]

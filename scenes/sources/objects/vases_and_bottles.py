@@ -6,35 +6,21 @@ from __future__ import annotations
 import numpy as np
 
 from scenes.sources.modelling import PartBuilder
-from scenes.sources.objects.registry import (
-    clay,
-    fixed,
-    glaze,
-    metal,
-    painted,
-    plastic,
-    rubber,
-    thing,
-    wood_tone,
-)
 from scenes.sources.shapes import cylinder, lathe, tube, vessel
 
 
-@thing("Slim vase", "vase", glaze=glaze("1b3278", source="glaze_cobalt"))
 def vase_slim(w: PartBuilder) -> None:
     lower = [(0.038, 0.002), (0.05, 0.02), (0.066, 0.09), (0.05, 0.17)]
     upper = [(0.022, 0.23), (0.02, 0.27), (0.03, 0.3)]
     w["vase", "glaze"] += vessel([*lower, *upper], 0.0045, foot=0.004)
 
 
-@thing("Moon vase", "vase", clay=clay("c9bfae"))
 def vase_round(w: PartBuilder) -> None:
     lower = [(0.05, 0.002), (0.07, 0.014), (0.105, 0.07), (0.1, 0.13)]
     upper = [(0.06, 0.175), (0.034, 0.188), (0.036, 0.204)]
     w["vase", "clay"] += vessel([*lower, *upper], 0.006, foot=0.004)
 
 
-@thing("Ribbed vase", "vase", glaze=glaze("37604f", 0.16))
 def vase_ribbed(w: PartBuilder) -> None:
     outside = [(0.045, 0.002), (0.055, 0.02), (0.068, 0.1), (0.064, 0.18), (0.048, 0.23), (0.052, 0.25)]
     body = vessel(outside, 0.005, segments=84, smooth=3)
@@ -54,12 +40,6 @@ def vase_ribbed(w: PartBuilder) -> None:
     w["vase", "glaze"] += body.bent(ribs)
 
 
-@thing(
-    "Vase with bare twigs",
-    "vase",
-    glaze=glaze("dcd8ce", source="glaze_dipped"),
-    twig=wood_tone("3f2e20", 0.8),
-)
 def vase_with_twigs(w: PartBuilder) -> None:
     w["vase", "glaze"] += vessel(
         [(0.04, 0.002), (0.052, 0.015), (0.06, 0.07), (0.042, 0.13), (0.026, 0.165), (0.03, 0.185)],
@@ -86,13 +66,6 @@ def vase_with_twigs(w: PartBuilder) -> None:
             w["twigs", "twig"] += tube(twig_path, [0.0013, 0.001, 0.0005], 5, smooth=2)
 
 
-@thing(
-    "Wine bottle",
-    "bottle",
-    glass=glaze("10180f", 0.08),
-    label=fixed("d9d0b8", 0.75, "paper"),
-    foil=metal((0.30, 0.05, 0.06), 0.35),
-)
 def bottle_wine(w: PartBuilder) -> None:
     w["bottle", "glass"] += (lathe([(0, 0.006), (0.022, 0.004), (0.031, 0), (0.0355, 0.002), (0.0375, 0.008), (0.0375, 0.17), (0.0368, 0.19), (0.031, 0.212),
                                     (0.0195, 0.232), (0.0152, 0.25), (0.0142, 0.285), (0.0142, 0.3), (0, 0.3)], 40))  # fmt: skip
@@ -102,14 +75,6 @@ def bottle_wine(w: PartBuilder) -> None:
     w["label", "label"] += lathe([(0.0374, 0.05), (0.0378, 0.0502), (0.0378, 0.1398), (0.0374, 0.14)], 40)
 
 
-@thing(
-    "Swing-top bottle",
-    "bottle",
-    glaze=glaze("8d6a48", 0.2),
-    cap=glaze("e4e0d6"),
-    wire=metal(),
-    seal=rubber("8c2a20"),
-)
 def bottle_ceramic(w: PartBuilder) -> None:
     lower = [(0.036, 0.002), (0.041, 0.006), (0.043, 0.12), (0.038, 0.155)]
     upper = [(0.02, 0.185), (0.0155, 0.205), (0.0155, 0.225), (0.018, 0.232)]
@@ -125,13 +90,6 @@ def bottle_ceramic(w: PartBuilder) -> None:
     w["wire", "wire"] += tube([(0.0, -0.0175, 0.2465), (0, 0, 0.247), (0, 0.0175, 0.2465)], 0.0011, 6)
 
 
-@thing(
-    "Soap dispenser",
-    "bottle",
-    body=plastic("c9c4b8", 0.3),
-    pump=plastic("202224", 0.35),
-    label=fixed("5b6a5e", 0.7, "paper"),
-)
 def bottle_soap(w: PartBuilder) -> None:
     lower = [(0, 0), (0.03, 0), (0.034, 0.004), (0.034, 0.13)]
     upper = [(0.03, 0.142), (0.014, 0.15), (0.0135, 0.158), (0, 0.158)]
@@ -146,13 +104,6 @@ def bottle_soap(w: PartBuilder) -> None:
     ]
 
 
-@thing(
-    "Vacuum flask",
-    "bottle",
-    steel=metal(source="steel_brushed"),
-    lid=plastic("26282b", 0.4),
-    band=rubber(),
-)
 def thermos(w: PartBuilder) -> None:
     lower = [(0, 0.001), (0.034, 0.001), (0.037, 0.005), (0.037, 0.2)]
     upper = [(0.034, 0.214), (0.029, 0.222), (0, 0.222)]
@@ -163,7 +114,6 @@ def thermos(w: PartBuilder) -> None:
     )
 
 
-@thing("Painted bottle", "bottle", paint=painted("b8c9c2", 0.3))
 def bottle_milk_painted(w: PartBuilder) -> None:
     lower = [(0.037, 0.001), (0.041, 0.006), (0.042, 0.1), (0.036, 0.14)]
     upper = [(0.021, 0.18), (0.019, 0.2), (0.022, 0.205), (0.022, 0.216)]
