@@ -100,6 +100,15 @@ def picture(w: PartBuilder, part: str, size: tuple[float, float], art: str) -> N
     w[part, art] += panel(sx * 0.72, sy * 0.76, (0, -0.0096, -sy * 0.37))
 
 
+def blind(w: PartBuilder, y: float, low: float, high: float, height: float, radius: float) -> None:
+    """Add a blind 1.46 m wide at depth ``y`` that hangs down to ``low`` from a roll of ``radius`` at ``high``."""
+    w["blind", "blind"] += [
+        box((1.46, 0.004, height), (0, y, low), 0.001, grain=2),
+        tube([(-0.73, y, low), (0.73, y, low)], 0.011, 10),
+        tube([(-0.74, y, high), (0.74, y, high)], radius, 16),
+    ]
+
+
 def radiator(room: Room, wall: str, s: float, width: float, height: float) -> None:
     """Add a column radiator at ``s`` along a wall, 10 cm above the floor."""
     pieces = room.builder["radiator", "radiator"]

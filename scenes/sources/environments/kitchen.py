@@ -108,9 +108,5 @@ def _shelves(room: Room) -> None:
             box((width, 0.003, length), (0, 0, -0.012), 0.001).turned("y", angle).moved(0, -0.0195, 0)
         )
     room.place("east", "wall_clock", -0.75, z=1.85)
-    w["blind", "blind"] += [
-        box((1.46, 0.004, 0.34), (0, -0.055, 2.05), 0.001, grain=2),
-        tube([(-0.73, -0.055, 2.05), (0.73, -0.055, 2.05)], 0.011, 10),
-        tube([(-0.74, -0.055, 2.39), (0.74, -0.055, 2.39)], 0.024, 16),
-    ]
+    decor.blind(w, -0.055, 2.05, 2.39, 0.34, 0.024)
     room.place("north", "blind", 0.1)

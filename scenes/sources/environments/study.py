@@ -27,11 +27,7 @@ def study(w: PartBuilder, collection: bpy.types.Collection) -> None:
     _board(room)
     decor.picture(w, "picture", size=(0.62, 0.44), art="art_dusk")
     room.place("south", "picture", -0.55, z=1.6)
-    w["blind", "blind"] += [
-        box((1.46, 0.004, 0.42), (0, -0.05, 1.86), 0.001, grain=2),
-        tube([(-0.73, -0.05, 1.86), (0.73, -0.05, 1.86)], 0.011, 10),
-        tube([(-0.74, -0.05, 2.29), (0.74, -0.05, 2.29)], 0.022, 16),
-    ]
+    decor.blind(w, -0.05, 1.86, 2.29, 0.42, 0.022)
     room.place("north", "blind", -0.45)
     decor.ceiling_light(room, 0.0, -0.1, radius=0.2, slot_m=0.26)
     decor.floor_lamp(room, 1.55, -0.2, height=1.5)

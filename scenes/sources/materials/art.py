@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from bpy.types import Material
 
-from scenes.sources.materials.graph import Color, Graph, Socket, Value, srgb
+from scenes.sources.materials.graph import Color, Graph, Output, Value, srgb
 
 
 def landscape(
@@ -14,19 +14,13 @@ def landscape(
     """A painting of layered hills under a sky with a pale sun, in brush strokes."""
     u, v = g.uv()
     stroke = g.noise(14, 60, detail=3, seed=seed, spread=0.3)
-    color: Value | Color = g.mix(g.add(v, g.mul(g.math("SUBTRACT", stroke, 0.5), 0.25)), sky[1], sky[0])
-    sun = g.math(
-        "SQRT",
-        g.add(
-            g.math("POWER", g.math("SUBTRACT", u, 0.68), 2.0),
-            g.math("POWER", g.math("SUBTRACT", v, 0.72), 2.0),
-        ),
-    )
+    color: Value | Color = g.mix(v + (stroke - 0.5) * 0.25, sky[1], sky[0])
+    sun = g.math("SQRT", (u - 0.68) ** 2.0 + (v - 0.72) ** 2.0)
     color = g.mix(g.line(sun, 0.08, 0.085, 0.9, 0.0), color, srgb("f3e3c0"))
     for k, hill in enumerate(hills):
         ridge = g.noise(1.5 + k, 0.01, detail=3, seed=seed + 3 * k)
         edge = g.math("MULTIPLY_ADD", ridge, 0.22, 0.52 - 0.17 * k)
-        inside = g.line(g.math("SUBTRACT", edge, v), 0.0, 0.006)
+        inside = g.line(edge - v, 0.0, 0.006)
         tone = g.line(g.noise(30, 12, detail=3, seed=seed + k, spread=0.3), 0, 1, 0.8, 1.2)
         color = g.mix(inside, color, g.shade(hill, tone))
     return g.finish(color, g.line(stroke, 0, 1, rough - 0.1, rough + 0.12))
@@ -39,17 +33,13 @@ def blocks(
     cell = g.cells(*grid)
     pick = g.random(cell.number, seed)
     corner = g.random(cell.number, seed + 1)
-    x = g.math("ABSOLUTE", g.math("SUBTRACT", cell.x, g.math("GREATER_THAN", corner, 0.5)))
-    y = g.math(
-        "ABSOLUTE", g.math("SUBTRACT", cell.y, g.math("GREATER_THAN", g.random(cell.number, seed + 2), 0.5))
-    )
-    disc = g.line(
-        g.math("SQRT", g.add(g.math("POWER", x, 2.0), g.math("POWER", y, 2.0))), 0.97, 0.99, 1.0, 0.0
-    )
-    inked = g.mul(disc, g.math("GREATER_THAN", g.random(cell.number, seed + 3), 0.15))
+    x = abs(cell.x - (corner > 0.5))
+    y = abs(cell.y - (g.random(cell.number, seed + 2) > 0.5))
+    disc = g.line(g.length((x, y)), 0.97, 0.99, 1.0, 0.0)
+    inked = disc * (g.random(cell.number, seed + 3) > 0.15)
     color: Value | Color = colors[0]
     for k, other in enumerate(colors[1:], 1):
-        color = g.mix(g.math("GREATER_THAN", pick, k / len(colors)), color, other)
+        color = g.mix(pick > k / len(colors), color, other)
     paper = g.shade(ground, g.line(g.noise(30, detail=4, seed=seed), 0, 1, 0.97, 1.02))
     return g.finish(g.mix(inked, paper, color), g.line(inked, 0, 1, 0.85, 0.6))
 
@@ -58,34 +48,31 @@ def cover(g: Graph, ground: Color, ink: Color, seed: float = 1.0, rough: float =
     """The cover of a book or magazine: title bars and a picture field."""
     u, v = g.uv()
     rows = g.cells(1, 16)
-    row = g.math("FLOOR", g.mul(v, 16.0))
+    row = g.math("FLOOR", v * 16.0)
     width = g.line(g.random(row, seed), 0, 1, 0.35, 0.8)
-    is_title = g.mul(g.math("GREATER_THAN", v, 0.70), g.math("LESS_THAN", v, 0.94))
-    bar = g.mul(
-        g.math("LESS_THAN", g.math("ABSOLUTE", g.math("SUBTRACT", u, 0.5)), g.mul(width, 0.5)),
-        g.math("GREATER_THAN", rows.y, 0.45),
-    )
-    letters = g.math("GREATER_THAN", g.noise(60, 34, detail=0, seed=seed, spread=0.3), 0.3)
-    ink_mask = g.mul(g.mul(is_title, bar), letters)
+    is_title = (v > 0.70) * (v < 0.94)
+    bar = (abs(u - 0.5) < width * 0.5) * (rows.y > 0.45)
+    letters = g.noise(60, 34, detail=0, seed=seed, spread=0.3) > 0.3
+    ink_mask = is_title * bar * letters
     field = _field(g, u, v)
     picture = g.mix(g.noise(4, detail=5, seed=seed + 3), g.shade(ink, 0.5), g.shade(ground, 1.3))
     color = g.mix(field, g.mix(ink_mask, ground, ink), picture)
     return g.finish(color, g.line(g.noise(6, detail=4, seed=seed + 8), 0, 1, rough - 0.08, rough + 0.12))
 
 
-def _field(g: Graph, u: Socket, v: Socket) -> Socket:
-    across = g.math("LESS_THAN", g.math("ABSOLUTE", g.math("SUBTRACT", u, 0.5)), 0.36)
-    up = g.math("LESS_THAN", g.math("ABSOLUTE", g.math("SUBTRACT", v, 0.36)), 0.26)
-    return g.mul(across, up)
+def _field(g: Graph, u: Output, v: Output) -> Output:
+    across = abs(u - 0.5) < 0.36
+    up = abs(v - 0.36) < 0.26
+    return across * up
 
 
 def portrait(g: Graph, ground: Color, skin: Color, coat: Color, seed: float = 1.0) -> Material:
     """A portrait photograph: head, shoulders and a blurred background, as a semi-gloss print."""
     u, v = g.uv()
 
-    def ellipse(cx: float, cy: float, rx: float, ry: float) -> Socket:
-        dx = g.mul(g.math("SUBTRACT", u, cx), 1 / rx)
-        dy = g.mul(g.math("SUBTRACT", v, cy), 1 / ry)
+    def ellipse(cx: float, cy: float, rx: float, ry: float) -> Output:
+        dx = (u - cx) * (1 / rx)
+        dy = (v - cy) * (1 / ry)
         return g.fit(g.length((dx, dy)), 0.94, 1.04, 1.0, 0.0)
 
     color: Value | Color = g.mix(
@@ -101,19 +88,13 @@ def portrait(g: Graph, ground: Color, skin: Color, coat: Color, seed: float = 1.
 def dial(g: Graph, ground: Color, ink: Color, seed: float = 0.0) -> Material:
     """A clock's face: twelve long and sixty short marks about the centre of the square."""
     u, v = g.uv()
-    x, y = g.math("SUBTRACT", u, 0.5), g.math("SUBTRACT", v, 0.5)
+    x, y = u - 0.5, v - 0.5
     radius = g.length((x, y))
-    angle = g.mul(g.math("ARCTAN2", y, x), 0.15915494)
+    angle = g.math("ARCTAN2", y, x) * 0.15915494
     color: Value | Color = ground
     for count, low, high, half in ((60.0, 0.435, 0.455, 0.06), (12.0, 0.375, 0.455, 0.045)):
-        turn = g.math(
-            "ABSOLUTE", g.math("SUBTRACT", g.math("FRACT", g.math("MULTIPLY_ADD", angle, count, 0.5)), 0.5)
-        )
-        mark = g.math(
-            "LESS_THAN",
-            g.mul(turn, radius),
-            half * 0.455 * (12 / count if count > 12 else 1.0) * (5 if count > 12 else 1),
-        )
-        ring = g.mul(g.math("GREATER_THAN", radius, low), g.math("LESS_THAN", radius, high))
-        color = g.mix(g.mul(mark, ring), color, ink)
+        turn = abs(g.math("FRACT", g.math("MULTIPLY_ADD", angle, count, 0.5)) - 0.5)
+        mark = turn * radius < half * 0.455 * (12 / count if count > 12 else 1.0) * (5 if count > 12 else 1)
+        ring = (radius > low) * (radius < high)
+        color = g.mix(mark * ring, color, ink)
     return g.finish(color, 0.45)

@@ -12,6 +12,7 @@ from scenes.sources.shapes import (
     box,
     cylinder,
     extrude,
+    frame,
     lathe,
     mirrored,
     panel,
@@ -89,11 +90,7 @@ def lantern(w: PartBuilder) -> None:
 
 
 def _standing_frame(w: PartBuilder, width: float, height: float, rim: float) -> None:
-    parts = [box((width, 0.016, rim), (0, 0, z), 0.003, 2, grain=0) for z in (0, height - rim)]
-    parts += [
-        box((rim, 0.016, height - 2 * rim), (s * (width - rim) / 2, 0, rim), 0.003, 2, grain=2)
-        for s in (-1, 1)
-    ]
+    parts = frame(width, height, rim, 0.016, (0, 0, 0), 0.003, 2)
     back = box((width - rim, 0.004, height - rim), (0, 0.005, rim / 2), 0)
     picture = panel(width - 2 * rim, height - 2 * rim, (0, 0.0015, rim))
     lean = -12
