@@ -33,7 +33,7 @@ class ObjectSource:
 
 
 OBJECTS = {
-    name: ObjectSource(**{**row, "slots": slots_of(row["slots"])}, build=getattr(module, name))
+    name: ObjectSource(**row.pop("about"), slots=slots_of(row), build=getattr(module, name))
     for module, rows in (
         (import_module(f"{__name__}.{name}"), rows) for name, rows in table("objects/objects.yaml").items()
     )
