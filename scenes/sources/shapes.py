@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import chain, pairwise
+from operator import add
 
 import bmesh
 import numpy as np
@@ -34,9 +36,10 @@ class Shape:
     def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Shape:
         return replace(self, points=self.points + np.array([x, y, z]))
 
-    def turned(self, axis: str, degrees: float) -> Shape:
-        """The shape rotated counter-clockwise about a coordinate axis through the origin."""
-        return replace(self, points=self.points @ rotation(axis, degrees).T)
+    def turned(self, axis: str, degrees: float, by: Sequence[float] | NDArray | None = None) -> Shape:
+        """The shape rotated counter-clockwise about a coordinate axis, then moved ``by`` (x, y, z)."""
+        shape = replace(self, points=self.points @ rotation(axis, degrees).T)
+        return shape if by is None else shape.moved(*by)
 
     def scaled(self, x: float, y: float | None = None, z: float | None = None) -> Shape:
         """The shape scaled about the origin; UVs remain in metres for uniform scales only."""
@@ -85,10 +88,7 @@ def rotation(axis: str, degrees: float) -> NDArray:
 
 def join(shapes: Sequence[Shape]) -> Shape:
     """Join shapes into one."""
-    result = shapes[0]
-    for shape in shapes[1:]:
-        result = result + shape
-    return result
+    return reduce(add, shapes)
 
 
 def face_normals(points: NDArray, faces: Sequence[Face]) -> NDArray:

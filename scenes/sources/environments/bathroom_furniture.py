@@ -38,9 +38,9 @@ def bathtub(w: PartBuilder) -> None:
     w["bathtub", "tiles"] += _apron(length, width, height)
     w["bathtub", "chrome"] += [
         cylinder(0.03, 0.006, (length / 2 - 0.45, -width / 2, height - 0.425), 0.002),
-        lathe([(0, 0), (0.032, 0), (0.034, 0.006), (0.028, 0.01), (0, 0.011)], 24)
-        .turned("y", -90)
-        .moved(length / 2 - 0.105, -width / 2, height - 0.15),
+        lathe([(0, 0), (0.032, 0), (0.034, 0.006), (0.028, 0.01), (0, 0.011)], 24).turned(
+            "y", -90, (length / 2 - 0.105, -width / 2, height - 0.15)
+        ),
     ]
 
 

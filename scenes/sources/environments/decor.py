@@ -101,7 +101,7 @@ def picture(w: PartBuilder, part: str, size: tuple[float, float], art: str) -> N
 
 
 def blind(w: PartBuilder, y: float, low: float, high: float, height: float, radius: float) -> None:
-    """Add a blind 1.46 m wide at depth ``y`` that hangs down to ``low`` from a roll of ``radius`` at ``high``."""
+    """Add a blind 1.46 m wide at ``y`` that hangs down to ``low`` from a roll of ``radius`` at ``high``."""
     w["blind", "blind"] += [
         box((1.46, 0.004, height), (0, y, low), 0.001, grain=2),
         tube([(-0.73, y, low), (0.73, y, low)], 0.011, 10),
@@ -158,8 +158,7 @@ def plant(
         w["plant", leaf] += (
             leaf_blade(length, 0.46 * length, float(rng.uniform(0.15, 0.45)))
             .turned("y", float(rng.uniform(-5, 35)))
-            .turned("z", float(np.degrees(angle)))
-            .moved(*tip)
+            .turned("z", float(np.degrees(angle)), tip)
         )
 
 

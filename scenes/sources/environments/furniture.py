@@ -41,7 +41,7 @@ def sofa(
         cushion = soft_box(
             (each - 0.02, 0.17, 0.44), (0, 0, 0), 0.07, (0.004, 0.034, 0.012), 9, 0.002, seed + 20 + k
         )
-        w[part, cover] += cushion.turned("x", -11).moved(x, -back - 0.115, seat_height - 0.005)
+        w[part, cover] += cushion.turned("x", -11, (x, -back - 0.115, seat_height - 0.005))
     for side in (-1, 1):
         for y in (-0.07, -depth + 0.09):
             w[part, legs] += lathe([(0, 0), (0.017, 0), (0.02, 0.004), (0.026, 0.12), (0, 0.125)], 16).moved(

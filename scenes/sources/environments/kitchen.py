@@ -104,8 +104,8 @@ def _shelves(room: Room) -> None:
     clock = lathe([*outside, *inside], 48).turned("x", 90)
     w["wall_clock", "mounts"] += clock.moved(0, -0.03, 0)
     for angle, length, width in ((52.0, 0.075, 0.008), (-76.0, 0.11, 0.005)):
-        w["wall_clock", "knobs"] += (
-            box((width, 0.003, length), (0, 0, -0.012), 0.001).turned("y", angle).moved(0, -0.0195, 0)
+        w["wall_clock", "knobs"] += box((width, 0.003, length), (0, 0, -0.012), 0.001).turned(
+            "y", angle, (0, -0.0195, 0)
         )
     room.place("east", "wall_clock", -0.75, z=1.85)
     decor.blind(w, -0.055, 2.05, 2.39, 0.34, 0.024)

@@ -96,7 +96,7 @@ def oven(w: PartBuilder, height: float) -> None:
     for x in (-0.23, -0.16, 0.16, 0.23):
         lower = [(0, 0), (0.021, 0), (0.021, 0.004), (0.017, 0.007)]
         upper = [(0.016, 0.024), (0.013, 0.026), (0, 0.0262)]
-        w["oven", "knobs"] += lathe([*lower, *upper], 24).turned("x", 90).moved(x, y - 0.009, height - 0.052)
+        w["oven", "knobs"] += lathe([*lower, *upper], 24).turned("x", 90, (x, y - 0.009, height - 0.052))
     z = height - 0.155
     w["oven", "appliances"] += [
         tube([(-0.24, y - 0.05, z), (0.24, y - 0.05, z)], 0.009, 12),

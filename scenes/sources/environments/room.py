@@ -69,7 +69,7 @@ class Room:
 
     def on_wall(self, wall: str, shape: Shape, s: float = 0.0, gap: float = 0.0, z: float = 0.0) -> Shape:
         """Move a shape from a wall's frame into the room: ``s`` along the wall, ``gap`` away from it, up by ``z``."""
-        return shape.moved(s, -gap, z).turned("z", _WALLS[wall]).moved(*self.frame(wall)[0])
+        return shape.moved(s, -gap, z).turned("z", _WALLS[wall], self.frame(wall)[0])
 
     def place(self, wall: str, part: str, s: float, gap: float = 0.0, z: float = 0.0) -> None:
         """Place a part at a wall as :meth:`on_wall` does."""
@@ -186,7 +186,7 @@ class Room:
                 at = (x, depth - 0.012, z + rim + r * inner_h / rows - 0.011)
                 bars.append(box((cw - 0.104, 0.03, 0.022), at, 0.003, grain=0))
         self.builder["windows", "trim"] += self.on_wall(window.wall, join(bars), window.s)
-        handle = cylinder(0.011, 0.02).turned("x", 90).moved(0, depth - 0.034, z + 0.45 * h)
+        handle = cylinder(0.011, 0.02).turned("x", 90, (0, depth - 0.034, z + 0.45 * h))
         drops = ((0.05, 0.0), (0.055, 0.05), (0.05, 0.11))
         lever = tube([(0, depth - y, z + 0.45 * h - drop) for y, drop in drops], 0.008, 8, smooth=3)
         offset = inner_w / columns / 2 if columns == 1 else 0.0
@@ -311,9 +311,7 @@ class Room:
         cloth_width = full * (1 - open_share) / 2
         rail = tube([(-full / 2 - 0.08, -0.1, top), (full / 2 + 0.08, -0.1, top)], 0.012, 12)
         ends = [
-            cylinder(0.02, 0.05, (0, 0, -0.025), 0.008)
-            .turned("y", 90)
-            .moved(side * (full / 2 + 0.1), -0.1, top)
+            cylinder(0.02, 0.05, (0, 0, -0.025), 0.008).turned("y", 90, (side * (full / 2 + 0.1), -0.1, top))
             for side in (-1, 1)
         ]
         brackets = [box((0.02, 0.1, 0.02), (side * full / 2, -0.05, top - 0.03), 0.003) for side in (-1, 1)]

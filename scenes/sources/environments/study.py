@@ -62,8 +62,7 @@ def _desk(room: Room) -> None:
         w["chair", "castors"] += [
             cylinder(0.026, 0.016, (0, 0, -0.017), 0.004, 20)
             .turned("x", 90)
-            .turned("z", float(np.degrees(a)) + 25)
-            .moved(*end, 0.0262),
+            .turned("z", float(np.degrees(a)) + 25, (*end, 0.0262)),
             cylinder(0.009, 0.05, (*end, 0.026), 0.002, 12),
         ]
     w["chair", "chair_base"] += [
@@ -77,8 +76,7 @@ def _desk(room: Room) -> None:
     w["chair", "chair_shell"] += (
         soft_box((0.46, 0.09, 0.56), (0, 0, 0), 0.042, (0.004, 0.02, 0.006), 11, 0.001, 4)
         .bent(lambda p: p + np.column_stack([0 * p[:, 0], -0.06 * (p[:, 0] / 0.23) ** 2, 0 * p[:, 0]]))
-        .turned("x", -9)
-        .moved(0, 0.255, 0.56)
+        .turned("x", -9, (0, 0.255, 0.56))
     )
     w["chair", "chair_base"] += tube(
         [(0, 0.06, 0.415), (0, 0.26, 0.42), (0, 0.315, 0.5), (0, 0.34, 0.72)], 0.018, 12, smooth=4
@@ -127,10 +125,8 @@ def _board(room: Room) -> None:
         sheet = box((size[0], 0.0006, size[1]), bevel=0).turned("y", float(rng.uniform(-6, 6)))
         x, z = -0.3 + 0.1 * k, 0.06 + 0.3 * (k % 2) + float(rng.uniform(-0.02, 0.03))
         w["board", "note_b" if k % 3 == 0 else "note_a"] += sheet.moved(x, -0.0138 - 0.0008 * (k % 2), z)
-        w["board", "castors"] += (
-            lathe([(0, 0), (0.005, 0.001), (0.004, 0.006), (0, 0.007)], 10)
-            .turned("x", 90)
-            .moved(x, -0.0145, z + size[1] * 0.9)
+        w["board", "castors"] += lathe([(0, 0), (0.005, 0.001), (0.004, 0.006), (0, 0.007)], 10).turned(
+            "x", 90, (x, -0.0145, z + size[1] * 0.9)
         )
     room.place("east", "board", -0.85, z=1.25)
     w["wall_shelf", "desk"] += [

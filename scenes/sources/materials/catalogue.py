@@ -20,8 +20,8 @@ SOURCES = Path(__file__).parents[1]
 
 @dataclass(frozen=True)
 class MaterialSource:
-    """The source of a material. ``surfaces``: kinds of surface that it usually covers, empty if they follow from its
-    classes; ``tile_size_m``: length of a UV unit; ``max_px``: maximum side of a texture.
+    """The source of a material. ``surfaces``: kinds of surface that it usually covers, or none: as its classes;
+    ``tile_size_m``: length of a UV unit; ``max_px``: maximum side of a texture.
     """
 
     title: str
@@ -37,8 +37,8 @@ class Slot:
     """Default material of a slot, its classes, and the classes that may replace it.
 
     ``source`` names a library material. Without it, the function ``graph`` builds the material with a
-    :class:`Graph`, over a unique UV layout; without both, the material is constant: ``color`` (linear Rec.709),
-    ``roughness`` (R), ``metallic``, ``ior``.
+    :class:`Graph`, over a unique UV layout; without both, the material is constant: ``color`` (linear
+    Rec.709), ``roughness`` (R), ``metallic``, ``ior``.
     """
 
     classes: tuple[str, ...]
@@ -52,7 +52,7 @@ class Slot:
 
 
 def table(name: str) -> dict[str, Any]:
-    """Read the YAML file ``name`` of this package; colours ``"#rrggbb"`` become linear, lists become tuples."""
+    """Read the YAML file ``name`` of this package; sRGB codes ``"#rrggbb"`` become linear, lists tuples."""
     return _converted(yaml.safe_load((SOURCES / name).read_text(encoding="utf-8")))
 
 

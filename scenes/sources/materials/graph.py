@@ -38,7 +38,7 @@ def _reflected(operation: str) -> Callable[[Output, float], Output]:
 
 @dataclass(frozen=True, eq=False)
 class Output:
-    """The output ``socket`` of a node. Operators add Math nodes; ``>`` and ``<`` are 1 where they hold, else 0."""
+    """The output ``socket`` of a node. Operators add Math nodes; ``>`` and ``<`` give 1 if true, else 0."""
 
     graph: Graph
     socket: bpy.types.NodeSocket

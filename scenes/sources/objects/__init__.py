@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sources of objects: titles, categories and slots in objects.yaml, and modules of functions that build them."""
+"""Sources of objects: titles, categories and slots in objects.yaml, and modules that build them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
+from typing import Any
 
 from scenes.sources.materials.catalogue import Slot, slots_of, table
 from scenes.sources.modelling import PartBuilder
@@ -32,10 +33,13 @@ class ObjectSource:
         return -limit, limit
 
 
+def _source(module: str, name: str, /, about: dict[str, Any], **slots: dict[str, Any]) -> ObjectSource:
+    build = getattr(import_module(f"{__name__}.{module}"), name)
+    return ObjectSource(**about, slots=slots_of(slots), build=build)
+
+
 OBJECTS = {
-    name: ObjectSource(**row.pop("about"), slots=slots_of(row), build=getattr(module, name))
-    for module, rows in (
-        (import_module(f"{__name__}.{name}"), rows) for name, rows in table("objects/objects.yaml").items()
-    )
+    name: _source(module, name, **row)
+    for module, rows in table("objects/objects.yaml").items()
     for name, row in rows.items()
 }

@@ -25,7 +25,7 @@ from scenes.sources.shapes import (
 def lying_book(thick: float, length: float, deep: float) -> tuple[Shape, Shape]:
     """The cover and pages of a book that lies on z = 0, about the z axis, with its spine towards -y."""
     cover, pages = storage.book(thick, length, deep)
-    place = [shape.turned("y", 90).moved(-length / 2, deep / 2, thick / 2) for shape in (cover, pages)]
+    place = [shape.turned("y", 90, (-length / 2, deep / 2, thick / 2)) for shape in (cover, pages)]
     return place[0], place[1]
 
 
@@ -44,7 +44,7 @@ def book_stack(w: PartBuilder) -> None:
         ("fourth", 0.02, 0.18, 0.12, -22),
     ):
         for name, shape in zip((slot, "pages"), lying_book(thick, length, deep), strict=True):
-            w["books", name] += shape.turned("z", angle).moved(0.004 * angle / 9, 0, z)
+            w["books", name] += shape.turned("z", angle, (0.004 * angle / 9, 0, z))
         z += thick + 0.0003
 
 
@@ -81,11 +81,11 @@ def book_open(w: PartBuilder) -> None:
 
 def magazines(w: PartBuilder) -> None:
     for k, (slot, angle) in enumerate((("second", 7.0), ("third", -12.0), ("second", 3.0))):
-        w["magazines", slot] += (
-            _closed_magazine().turned("z", angle).moved(0.004 * k, 0.003 * k, 0.0052 * k + 0.0026)
+        w["magazines", slot] += _closed_magazine().turned(
+            "z", angle, (0.004 * k, 0.003 * k, 0.0052 * k + 0.0026)
         )
-    w["magazines", "third"] += _closed_magazine().turned("z", -5).moved(z=0.0052 * 3 + 0.0026)
-    front = panel(0.208, 0.278).turned("x", -90).moved(0, -0.139, 0.0208 + 0.0026 - 0.0026 + 0.0004)
+    w["magazines", "third"] += _closed_magazine().turned("z", -5, (0, 0, 0.0052 * 3 + 0.0026))
+    front = panel(0.208, 0.278).turned("x", -90, (0, -0.139, 0.0208 + 0.0026 - 0.0026 + 0.0004))
     w["magazines", "front"] += front.turned("z", -5)
 
 
@@ -123,7 +123,7 @@ def box_wooden(w: PartBuilder) -> None:
     ]
     w["box", "brass"] += [
         box((0.026, 0.004, 0.03), (0, -0.0835, 0.056), 0.0015, 2),
-        cylinder(0.0045, 0.006, segments=16, bevel=0.001).turned("x", 90).moved(0, -0.085, 0.066),
+        cylinder(0.0045, 0.006, segments=16, bevel=0.001).turned("x", 90, (0, -0.085, 0.066)),
     ]
     for x in (-0.07, 0.07):
         w["box", "brass"] += tube([(x - 0.014, 0.084, 0.071), (x + 0.014, 0.084, 0.071)], 0.004, 8)

@@ -67,8 +67,7 @@ def plates_stacked(w: PartBuilder) -> None:
         w["plates", "band" if i % 2 else "glaze"] += (
             _plate(0.105)
             .scaled(1, 1, 0.85)
-            .turned("z", 31 * i)
-            .moved(0.0012 * (i % 3), 0.001 * (i % 2), 0.0078 * i)
+            .turned("z", 31 * i, (0.0012 * (i % 3), 0.001 * (i % 2), 0.0078 * i))
         )
 
 
@@ -78,7 +77,7 @@ def cup_and_saucer(w: PartBuilder) -> None:
         [(0.021, 0.002), (0.024, 0.006), (0.036, 0.028), (0.041, 0.052), (0.0425, 0.06)], 0.0028, foot=0.003
     )
     ear = handle(0.02, 0.05, 0.033, 0.039, 0.022, 0.0034)
-    w["cup", "glaze"] += (cup + ear).turned("z", -35).moved(z=0.0062)
+    w["cup", "glaze"] += (cup + ear).turned("z", -35, (0, 0, 0.0062))
     w["cup", "coffee"] += cylinder(0.0385, 0.004, (0, 0, 0.0505), 0.0008, 40)
 
 

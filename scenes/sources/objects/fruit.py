@@ -122,8 +122,8 @@ def fruit_bowl(w: PartBuilder) -> None:
     orange = unit(sphere(0.037, segments=28, squash=0.95))
     fruit, stalk = apple_shapes(0.036)
     for x, y, z in ((0.058, 0.01, 0.062), (-0.03, 0.055, 0.062), (0.002, 0.002, 0.108)):
-        w["fruit", "orange"] += orange.turned("x", 40 * x * 20).moved(x, y, z)
+        w["fruit", "orange"] += orange.turned("x", 40 * x * 20, (x, y, z))
     for x, y, z, lean in ((-0.042, -0.034, 0.026, 14), (0.025, -0.066, 0.03, -18)):
         for slot, shape in (("apple", fruit), ("stalk", stalk)):
-            w["fruit", slot] += shape.turned("y", lean).moved(x, y, z)
-    w["fruit", "pear"] += pear_shape(28).turned("x", 74).turned("z", 30).moved(0.055, 0.062, 0.064)
+            w["fruit", slot] += shape.turned("y", lean, (x, y, z))
+    w["fruit", "pear"] += pear_shape(28).turned("x", 74).turned("z", 30, (0.055, 0.062, 0.064))

@@ -44,7 +44,7 @@ def frying_pan(w: PartBuilder) -> None:
 
 def knife_block(w: PartBuilder) -> None:
     side = [(-0.075, 0.0), (0.075, 0.0), (0.075, 0.13), (-0.02, 0.215), (-0.075, 0.155)]
-    block = extrude(side, 0.1, 0.004, 2).turned("x", 90).moved(0, 0.05, 0).turned("z", 90)
+    block = extrude(side, 0.1, 0.004, 2).turned("x", 90, (0, 0.05, 0)).turned("z", 90)
     w["block", "wood"] += block
     # the slanted face goes from (y, z) = (-0.02, 0.215) to (0.075, 0.13)
     normal, along = np.array([0.0, 0.667, 0.745]), np.array([0.0, 0.745, -0.667])
@@ -115,13 +115,12 @@ def utensil_jar(w: PartBuilder) -> None:
             top = (
                 extrude(rounded_rectangle(0.05, 0.08, 0.014, 4), 0.006, 0.002)
                 .moved(0, 0, -0.003)
-                .turned("x", 90)
-                .moved(0, 0, 0.26)
+                .turned("x", 90, (0, 0, 0.26))
             )
         else:
             outside = [(0, 0), (0.02, 0.004), (0.034, 0.02), (0.037, 0.035)]
             inside = [(0.0355, 0.035), (0.0325, 0.021), (0.019, 0.006), (0, 0.002)]
-            top = lathe([*outside, *inside], 28).turned("x", 60).moved(0, -0.02, 0.235)
+            top = lathe([*outside, *inside], 28).turned("x", 60, (0, -0.02, 0.235))
         tool = join([stick, top]).turned("y", lean).turned("z", angle)
         out = 0.014
         w["tools", slot] += tool.moved(

@@ -44,7 +44,7 @@ def lamp_desk(w: PartBuilder) -> None:
             tube([(x, *elbow[1:]), (x, *head[1:])], 0.0042, 8),
         ]
     for at in ((0, 0, 0.038), tuple(elbow), tuple(head)):
-        w["arm", "paint"] += cylinder(0.013, 0.036, (0, 0, -0.018), 0.003, 20).turned("y", 90).moved(*at)
+        w["arm", "paint"] += cylinder(0.013, 0.036, (0, 0, -0.018), 0.003, 20).turned("y", 90, at)
     outer = [(0.0, 0.075), (0.022, 0.072), (0.03, 0.06), (0.034, 0.03), (0.05, 0.008), (0.076, -0.035)]
     shell = [
         *outer,
@@ -56,10 +56,8 @@ def lamp_desk(w: PartBuilder) -> None:
         (0, 0.03),
     ]
     lean = 28
-    w["head", "paint"] += lathe(shell, 40).turned("x", -lean).moved(*(head + np.array([0, -0.035, -0.045])))
-    w["head", "inside"] += (
-        sphere(0.024, segments=20).turned("x", -lean).moved(*(head + np.array([0, -0.028, -0.066])))
-    )
+    w["head", "paint"] += lathe(shell, 40).turned("x", -lean, head + np.array([0, -0.035, -0.045]))
+    w["head", "inside"] += sphere(0.024, segments=20).turned("x", -lean, head + np.array([0, -0.028, -0.066]))
 
 
 def lantern(w: PartBuilder) -> None:
@@ -120,9 +118,9 @@ def mirror_stand(w: PartBuilder) -> None:
     outside = [(0, -0.006), (0.094, -0.006), (0.1, -0.002), (0.1, 0.005), (0.096, 0.008)]
     inside = [(0.092, 0.0055), (0, 0.0055)]
     disc = lathe([*outside, *inside], 48)
-    w["head", "frame"] += disc.turned("x", 78).moved(z=0.225)
+    w["head", "frame"] += disc.turned("x", 78, (0, 0, 0.225))
     glass = lathe([(0, 0.0058), (0.0915, 0.0058), (0.0915, 0.0056), (0, 0.0052)], 48)
-    w["head", "mirror"] += glass.turned("x", 78).moved(z=0.225)
+    w["head", "mirror"] += glass.turned("x", 78, (0, 0, 0.225))
 
 
 def _hands(w: PartBuilder, at: tuple[float, float, float], radius: float, hour: float, minute: float) -> None:
@@ -131,10 +129,8 @@ def _hands(w: PartBuilder, at: tuple[float, float, float], radius: float, hour: 
             "y", angle
         )
         w["case", "hands"] += hand.moved(*at)
-    w["case", "hands"] += (
-        cylinder(0.05 * radius, 0.003, segments=16, bevel=0.0005)
-        .turned("x", 90)
-        .moved(at[0], at[1] + 0.001, at[2])
+    w["case", "hands"] += cylinder(0.05 * radius, 0.003, segments=16, bevel=0.0005).turned(
+        "x", 90, (at[0], at[1] + 0.001, at[2])
     )
 
 
@@ -150,14 +146,14 @@ def clock_alarm(w: PartBuilder) -> None:
     outside = [(0, 0), (r - 0.006, 0), (r, 0.006), (r, 0.036), (r + 0.003, 0.04), (r + 0.002, 0.046)]
     drum = lathe([*outside, (r - 0.003, 0.047), (r - 0.004, 0.041), (0, 0.041)], 44)
     z = 0.066
-    w["case", "case"] += drum.turned("x", 90).moved(0, 0.022, z)
+    w["case", "case"] += drum.turned("x", 90, (0, 0.022, z))
     w["case", "dial"] += _face(r - 0.0035).moved(0, -0.0192, z)
     _hands(w, (0, -0.0212, z), r, 10.2, 9)
     bell = lathe(
         [(0, 0.016), (0.012, 0.014), (0.0195, 0.006), (0.021, 0), (0.0195, 0), (0.011, 0.012), (0, 0.014)], 28
     )
     for side in (-1, 1):
-        w["case", "bells"] += bell.moved(z=0.004).turned("y", 32 * side).moved(0.034 * side, 0, z + 0.046)
+        w["case", "bells"] += bell.moved(z=0.004).turned("y", 32 * side, (0.034 * side, 0, z + 0.046))
         w["case", "bells"] += tube([(0.027 * side, 0, z + 0.036), (0.036 * side, 0, z + 0.052)], 0.003, 8)
         w["case", "bells"] += tube(
             [(0.028 * side, 0, z - 0.04), (0.037 * side, -0.016, 0.003)], [0.0045, 0.0035], 10
@@ -174,13 +170,13 @@ def clock_alarm(w: PartBuilder) -> None:
 def clock_mantel(w: PartBuilder) -> None:
     outline = [(-0.15, 0.03), (0.15, 0.03), (0.14, 0.06), (0.115, 0.085), (0.1, 0.13), (0.08, 0.165), (0.05, 0.186), (0.0, 0.194),
                (-0.05, 0.186), (-0.08, 0.165), (-0.1, 0.13), (-0.115, 0.085), (-0.14, 0.06)]  # fmt: skip
-    w["case", "case"] += extrude(outline, 0.09, 0.006, 2).turned("x", 90).moved(0, 0.045, 0)
+    w["case", "case"] += extrude(outline, 0.09, 0.006, 2).turned("x", 90, (0, 0.045, 0))
     w["case", "case"] += box((0.34, 0.12, 0.03), (0, 0, 0.008), 0.006, 2, grain=0)
     for x in (-0.14, 0.14):
         for y in (-0.04, 0.04):
             w["case", "brass"] += sphere(0.0115, (x, y, 0.0095), 16, 0.82)
     ring = lathe([(0.062, 0), (0.074, 0), (0.075, 0.006), (0.069, 0.01), (0.063, 0.006), (0.062, 0)], 48)
-    w["case", "brass"] += ring.turned("x", 90).moved(0, -0.044, 0.115)
+    w["case", "brass"] += ring.turned("x", 90, (0, -0.044, 0.115))
     w["case", "dial"] += _face(0.064).moved(0, -0.0465, 0.115)
     _hands(w, (0, -0.0488, 0.115), 0.064, 4.4, 24)
 

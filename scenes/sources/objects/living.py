@@ -59,7 +59,7 @@ def cushion_bolster(w: PartBuilder) -> None:
     lower = [(0, 0), (0.05, 0.0), (0.082, 0.008), (0.09, 0.025), (0.092, 0.23)]
     upper = [(0.09, 0.435), (0.082, 0.452), (0.05, 0.46), (0, 0.46)]
     roll = lathe([*lower, *upper], 40)
-    roll = roll.turned("y", 90).moved(-0.23, 0, 0.088)
+    roll = roll.turned("y", 90, (-0.23, 0, 0.088))
 
     def resting(p: np.ndarray) -> np.ndarray:
         """Flatten the underside."""
@@ -101,10 +101,8 @@ def plant_snake(w: PartBuilder) -> None:
             ],
             axis=-1,
         )
-        w["plant", "leaf"] += (
-            sheet(points, 0.003)
-            .turned("z", float(np.degrees(angle)))
-            .moved(r * np.cos(angle), r * np.sin(angle), 0.108)
+        w["plant", "leaf"] += sheet(points, 0.003).turned(
+            "z", float(np.degrees(angle)), (r * np.cos(angle), r * np.sin(angle), 0.108)
         )
 
 

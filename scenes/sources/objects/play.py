@@ -160,14 +160,13 @@ def toy_blocks(w: PartBuilder) -> None:
         ("blue", 0.0, 0.002, s, 22),
         ("bare", 0.075, -0.035, 0, 40),
     ):
-        w["blocks", slot] += cube.turned("z", angle).moved(x, y, z)
-    roof = extrude([(-s / 2, 0), (s / 2, 0), (0, s * 0.55)], s, 0.0025, 2).turned("x", 90).moved(0, s / 2, 0)
-    w["blocks", "red"] += roof.turned("z", 22).moved(0, 0.002, 2 * s)
+        w["blocks", slot] += cube.turned("z", angle, (x, y, z))
+    roof = extrude([(-s / 2, 0), (s / 2, 0), (0, s * 0.55)], s, 0.0025, 2).turned("x", 90, (0, s / 2, 0))
+    w["blocks", "red"] += roof.turned("z", 22, (0, 0.002, 2 * s))
     w["blocks", "yellow"] += (
         cylinder(s / 2, s * 1.5, bevel=0.003, segments=32)
         .turned("y", 90)
-        .turned("z", 55)
-        .moved(-0.055, -0.065, s / 2)
+        .turned("z", 55, (-0.055, -0.065, s / 2))
     )
 
 
@@ -187,10 +186,7 @@ def toy_duck(w: PartBuilder) -> None:
     for side in (-1, 1):
         w["duck", "eye"] += sphere(0.0036, (-0.045, side * 0.0135, 0.0865), 14)
         w["duck", "body"] += (
-            sphere(0.02, segments=20)
-            .scaled(1.25, 0.35, 0.7)
-            .turned("y", -18)
-            .moved(0.012, side * 0.036, 0.038)
+            sphere(0.02, segments=20).scaled(1.25, 0.35, 0.7).turned("y", -18, (0.012, side * 0.036, 0.038))
         )
 
 
@@ -200,7 +196,7 @@ def toy_train(w: PartBuilder) -> None:
         box((0.045, 0.05, 0.052), (0.04, 0, 0.025), 0.003, 2),
     ]
     w["engine", "red"] += [
-        cylinder(0.0225, 0.078, bevel=0.003, segments=32).turned("y", -90).moved(0.02, 0, 0.047),
+        cylinder(0.0225, 0.078, bevel=0.003, segments=32).turned("y", -90, (0.02, 0, 0.047)),
         box((0.055, 0.062, 0.008), (0.04, 0, 0.0765), 0.003, 2),
     ]
     w["engine", "black"] += [
@@ -220,10 +216,8 @@ def toy_train(w: PartBuilder) -> None:
         for side in (-1, 1):
             lower = [(0, 0), (0.0135, 0), (0.015, 0.0015), (0.015, 0.0075)]
             upper = [(0.0135, 0.009), (0.005, 0.009), (0.0045, 0.011), (0, 0.0112)]
-            w["wheels", "black"] += (
-                lathe([*lower, *upper], 28)
-                .turned("x", 90 if side < 0 else -90)
-                .moved(x, side * 0.0265, 0.015)
+            w["wheels", "black"] += lathe([*lower, *upper], 28).turned(
+                "x", 90 if side < 0 else -90, (x, side * 0.0265, 0.015)
             )
     w["wagon", "bare"] += tube([(0.062, 0, 0.019), (0.088, 0, 0.019)], 0.0032, 8)
 

@@ -105,7 +105,7 @@ class _Shoe:
         for part, side in (("right", -1), ("left", 1)):
             for slot, shape in self.pieces():
                 own = shape.bent(lambda p: p * [-1, 1, 1]).flipped() if part == "left" else shape
-                w[part, slot] += own.turned("z", 4.0 * side).moved(x=side * gap / 2, y=0.012 * side)
+                w[part, slot] += own.turned("z", 4.0 * side, (side * gap / 2, 0.012 * side, 0))
             if self.is_laced:
                 laces = self.laces().turned("z", 4.0 * side)
                 w[part, "lace"] += laces.moved(x=side * gap / 2, y=0.012 * side)

@@ -11,7 +11,7 @@ from scenes.sources.shapes import Shape, box, cylinder, extrude, lathe, loft, mi
 
 def _lying(shape: Shape, z: float) -> Shape:
     """Rotate a tool that is modelled along z to the x axis, and move it up by ``z``."""
-    return shape.turned("y", 90).moved(z=z)
+    return shape.turned("y", 90, (0, 0, z))
 
 
 def hammer(w: PartBuilder) -> None:
@@ -70,9 +70,7 @@ def pliers(w: PartBuilder) -> None:
 def toolbox(w: PartBuilder) -> None:
     w["box", "paint"] += box((0.4, 0.2, 0.13), bevel=0.006, segments=2)
     lid = [(-0.1025, 0.0), (0.1025, 0.0), (0.1025, 0.03), (0.07, 0.062), (-0.07, 0.062), (-0.1025, 0.03)]
-    w["box", "paint"] += (
-        extrude(lid, 0.406, 0.005, 2).turned("x", 90).turned("z", 90).moved(-0.203, 0, 0.1315)
-    )
+    w["box", "paint"] += extrude(lid, 0.406, 0.005, 2).turned("x", 90).turned("z", 90, (-0.203, 0, 0.1315))
     for x in (-0.12, 0.12):
         w["box", "latch"] += [
             box((0.034, 0.006, 0.05), (x, -0.1045, 0.105), 0.002, 2),
@@ -128,13 +126,11 @@ def paint_brush(w: PartBuilder) -> None:
 def tape_measure(w: PartBuilder) -> None:
     right, left = [(0.036, 0.0), (0.036, 0.02), (0.03, 0.046)], [(-0.014, 0.062), (-0.032, 0.045)]
     outline = [(-0.034, 0.0), *right, (0.012, 0.062), *left]
-    w["tape", "case"] += extrude(outline, 0.034, 0.005, 3).turned("x", 90).moved(0, 0.017, 0)
+    w["tape", "case"] += extrude(outline, 0.034, 0.005, 3).turned("x", 90, (0, 0.017, 0))
     for side in (-1, 1):
-        w["tape", "grip"] += (
-            lathe([(0, 0), (0.021, 0), (0.022, 0.0012), (0.018, 0.0022), (0, 0.0022)], 32)
-            .turned("x", 90 if side < 0 else -90)
-            .moved(-0.001, side * 0.0168, 0.032)
-        )
+        w["tape", "grip"] += lathe(
+            [(0, 0), (0.021, 0), (0.022, 0.0012), (0.018, 0.0022), (0, 0.0022)], 32
+        ).turned("x", 90 if side < 0 else -90, (-0.001, side * 0.0168, 0.032))
     w["tape", "blade"] += [
         box((0.016, 0.019, 0.0008), (0.042, 0, 0.006), 0.0002),
         box((0.0012, 0.019, 0.012), (0.0495, 0, 0.0005), 0.0003),
