@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from datagen.formats.capture import Capture, CaptureGeometry, GeometryPart
+from datagen.foundation.axes import affine
 from datagen.foundation.meshes.mesh import Mesh, without_degenerate
 from model.reconstruction.captures.options import CaptureOptions
 from model.reconstruction.captures.read import read_capture
@@ -31,56 +32,52 @@ from model.reconstruction.check.capture_check import CheckReport, check_capture
 
 
 def changed(
-    capture: Capture, rng: np.random.Generator, change: Callable[[NDArray, np.random.Generator], NDArray]
+    capture: Capture, rng: np.random.Generator, change: Callable[[np.random.Generator], NDArray]
 ) -> tuple[Capture, set[str]]:
-    """Transform one camera in five by ``change``; returns the capture and the names of these views."""
+    """Move one camera in five by a transform (4, 4) of ``change``; returns the capture and their names."""
     wrong = rng.choice(len(capture.views), max(1, len(capture.views) // 5), replace=False)
     views = list(capture.views)
     for index in wrong:
-        pose = views[index].camera.world_from_camera @ change(np.eye(4), rng)
+        pose = views[index].camera.world_from_camera @ change(rng)
         views[index] = replace(views[index], camera=replace(views[index].camera, world_from_camera=pose))
     return replace(capture, views=tuple(views)), {views[index].name for index in wrong}
 
 
-def turned(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """Set the rotation of ``matrix`` (4, 4) to 1 degree about a random axis perpendicular to the view."""
+def turned(rng: np.random.Generator) -> NDArray:
+    """Rotation (4, 4) by 1 degree about a random axis perpendicular to the view."""
     angle = rng.uniform(0, 2 * np.pi)
     axis = np.array([np.cos(angle), np.sin(angle), 0.0])
-    matrix[:3, :3] = Rotation.from_rotvec(np.radians(1.0) * axis).as_matrix()
-    return matrix
+    return affine(Rotation.from_rotvec(np.radians(1.0) * axis).as_matrix())
 
 
-def rolled(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """Set the rotation of ``matrix`` (4, 4) to 2 or -2 degrees about the view direction."""
+def rolled(rng: np.random.Generator) -> NDArray:
+    """Rotation (4, 4) by 2 or -2 degrees about the view direction."""
     angle = np.radians(2.0) * rng.choice([-1.0, 1.0])
-    matrix[:3, :3] = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
-    return matrix
+    return affine(Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix())
 
 
-def advanced(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """Set the translation of ``matrix`` (4, 4) to 10 or -10 cm along the view direction."""
-    matrix[2, 3] = 0.1 * rng.choice([-1.0, 1.0])
-    return matrix
+def advanced(rng: np.random.Generator) -> NDArray:
+    """Translation (4, 4) by 10 or -10 cm along the view direction."""
+    return affine(np.eye(3), (0.0, 0.0, 0.1 * rng.choice([-1.0, 1.0])))
+
+
+def transformed(capture: Capture, matrix: NDArray) -> Capture:
+    """Return the capture with its mesh transformed by ``matrix`` (4, 4)."""
+    mesh = capture.geometry.mesh.transformed(matrix)
+    return replace(capture, geometry=replace(capture.geometry, mesh=mesh))
 
 
 def moved(capture: Capture, rng: np.random.Generator, metres: float) -> tuple[Capture, np.ndarray]:
     """Move the mesh by ``metres`` in a random direction; returns the capture and the offset (3,)."""
     direction = rng.normal(size=3)
     offset = metres * direction / np.linalg.norm(direction)
-    matrix = np.eye(4)
-    matrix[:3, 3] = offset
-    geometry = replace(capture.geometry, mesh=capture.geometry.mesh.transformed(matrix))
-    return replace(capture, geometry=geometry), offset
+    return transformed(capture, affine(np.eye(3), offset)), offset
 
 
 def enlarged(capture: Capture, factor: float) -> Capture:
     """Return the capture with its mesh scaled by ``factor`` about the cameras' mean position."""
     middle = np.mean([camera.position_m for camera in capture.cameras], axis=0)
-    matrix = np.diag([factor, factor, factor, 1.0])
-    matrix[:3, 3] = (1 - factor) * middle
-    return replace(
-        capture, geometry=replace(capture.geometry, mesh=capture.geometry.mesh.transformed(matrix))
-    )
+    return transformed(capture, affine(factor * np.eye(3), (1 - factor) * middle))
 
 
 def snapped(capture: Capture, grid_m: float) -> Capture:

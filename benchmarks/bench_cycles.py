@@ -51,16 +51,15 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from benchmarks.timing import write_report
+from benchmarks.timing import REPOSITORY, RESULTS, markdown, write_report
 from datagen.farm.folder import DatasetFolder
-from datagen.formats.base import canonical_json, sha256_hex
+from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.formats.recipe import QUALITIES, ObjectRecipe, Recipe, RenderRecipe
 from datagen.formats.shard import ShardReader
 from datagen.foundation.color import luminance
 from datagen.foundation.versions import pixel_versions
 from datagen.rendering.error import relative_mse
 
-REPOSITORY = Path(__file__).resolve().parents[1]
 FIRST_SAMPLES = 4
 UNBIASED = ("--clamp", "0", "--filter-glossy", "0")
 """Options that disable clamping and the roughening of surfaces after diffuse bounces, as in references."""
@@ -85,10 +84,7 @@ def recipe_of(arguments: argparse.Namespace) -> Recipe:
 def step(path: Path, make: Callable[[], Any]) -> Any:
     """Read the JSON file ``path``; if it is missing, first write the result of ``make`` to it."""
     if not path.is_file():
-        result = make()
-        partial = path.with_suffix(".partial")
-        partial.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-        partial.replace(path)
+        write_bytes_atomically(path, (json.dumps(make(), indent=1) + "\n").encode())
     return json.loads(path.read_text(encoding="utf-8"))
 
 
@@ -388,17 +384,13 @@ def table(result: dict[str, Any]) -> str:
         "" if cycles["reached"] else " (error not reached)"
     )
     rows.append((label, cycles["total_wall_s"], cycles["total_cpu_s"], cycles["rel_mse"]))
-    lines = [
-        f"{views} views of {width}x{height}, {machine_text}:",
-        "",
-        "| renderer | wall s | processor s | images an hour | relMSE | times as fast as Cycles |",
-        "|---|---|---|---|---|---|",
-    ]
-    for name, wall, cpu, error in rows:
-        ratio = cycles["total_wall_s"] / wall
-        lines.append(
-            f"| {name} | {wall:.1f} | {cpu:.1f} | {3600 * views / wall:,.0f} | {error:.4f} | {ratio:.1f} |"
-        )
+    head = ("renderer", "wall s", "processor s", "images an hour", "relMSE", "times as fast as Cycles")
+    cells = [
+        (name, f"{wall:.1f}", f"{cpu:.1f}", f"{3600 * views / wall:,.0f}", f"{error:.4f}",
+         f"{cycles['total_wall_s'] / wall:.1f}")
+        for name, wall, cpu, error in rows
+    ]  # fmt: skip
+    lines = [f"{views} views of {width}x{height}, {machine_text}:", "", markdown(head, cells)]
     if cycles["is_extrapolated"]:
         lines += [
             "",
@@ -430,7 +422,7 @@ def main() -> None:
     )
     parser.add_argument("--max-cycles-samples", type=int, default=1024)
     parser.add_argument("--repeats", type=int, default=1, help="runs of our renderer with cached kernels")
-    parser.add_argument("--out", type=Path, default=REPOSITORY / "benchmarks" / "results" / "cycles")
+    parser.add_argument("--out", type=Path, default=RESULTS / "cycles")
     arguments = parser.parse_args()
     result = Comparison(arguments).run()
     write_report(result, arguments.out / "bench_cycles.json", is_printed=False)

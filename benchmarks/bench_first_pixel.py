@@ -25,10 +25,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks.timing import timed, write_report
+from benchmarks.timing import REPOSITORY, RESULTS, markdown, planned_folder, timed, write_report
 
-REPOSITORY = Path(__file__).resolve().parents[1]
-RESULTS = REPOSITORY / "benchmarks" / "results"
 TARGET_S = 10.0
 
 
@@ -89,23 +87,14 @@ def passes(renderer: Any) -> dict[str, float]:
     return found
 
 
-def planned_folder(cache: Path, size: tuple[int, int], views: int) -> Path:
+def planned_room(cache: Path, size: tuple[int, int], views: int) -> Path:
     """Plan the measured configuration unless ``cache`` contains it; returns its folder."""
-    from datagen.formats.base import canonical_json
     from datagen.formats.recipe import ObjectRecipe, Recipe
 
+    objects = ObjectRecipe(count=(10, 24))
+    recipe = Recipe(name="first", seed=2022, configurations=1, views=views, resolution=size, objects=objects)
     folder = cache / f"first_pixel_{size[0]}x{size[1]}_{views}_1"
-    if not (folder / "plan.json").is_file():
-        objects = ObjectRecipe(count=(10, 24))
-        recipe = Recipe(
-            name="first", seed=2022, configurations=1, views=views, resolution=size, objects=objects
-        )
-        cache.mkdir(parents=True, exist_ok=True)
-        path = cache / "first_pixel.yaml"
-        path.write_bytes(canonical_json(recipe))  # JSON is YAML
-        command = [sys.executable, "-m", "datagen", "plan", str(path), "--out", str(folder)]
-        subprocess.run(command, check=True, cwd=REPOSITORY, stdout=subprocess.DEVNULL)
-    return folder
+    return planned_folder(folder, recipe, cache / "first_pixel.yaml", stdout=subprocess.DEVNULL)
 
 
 def run_once(folder: Path, is_cold: bool, profile: Path | None) -> dict[str, Any]:
@@ -144,7 +133,7 @@ def main() -> None:
     if arguments.child is not None:
         first_pixels(arguments.child, arguments.profile_to)
         return
-    folder = planned_folder(arguments.cache, tuple(arguments.size), arguments.views)
+    folder = planned_room(arguments.cache, tuple(arguments.size), arguments.views)
     if arguments.profile:
         import pstats
 
@@ -171,9 +160,11 @@ def main() -> None:
         "target_s": TARGET_S,
     }
     write_report(result, arguments.out, is_printed=False)
-    print("| stage | wall s | processor s |\n|---|---|---|")
-    for name, seconds in {**stages, "start of process to first pixels": total}.items():
-        print(f"| {name} | {seconds['wall_s']:.2f} | {seconds['cpu_s']:.2f} |")
+    rows = [
+        (name, f"{seconds['wall_s']:.2f}", f"{seconds['cpu_s']:.2f}")
+        for name, seconds in {**stages, "start of process to first pixels": total}.items()
+    ]
+    print(markdown(("stage", "wall s", "processor s"), rows))
     print("a pass: " + ", ".join(f"{name} {1e3 * s:.0f} ms" for name, s in result["pass_s"].items()))
 
 

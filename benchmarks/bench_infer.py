@@ -21,19 +21,17 @@ import json
 import tempfile
 import threading
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.bench_merge_quality import open_room
 from benchmarks.timing import Stopwatch
-from datagen.formats.capture import Capture, CaptureView, ColorImage
-from datagen.foundation.cameras import Camera
+from datagen.formats.capture import Capture, CaptureView
 from datagen.geometry.texture_lookup import looked_up, pixel_uv
 from mitsuba_plugins.variant import select_variant
 from model.checkpoint import CheckpointCard, save_checkpoint
@@ -43,7 +41,7 @@ from model.reconstruction.captures.options import CaptureOptions
 from model.reconstruction.captures.read import read_capture
 from model.reconstruction.infer import InferOptions, InferReport, infer
 from model.reconstruction.predict.sources import CheckpointMaps
-from oracles.textured_room import room_capture
+from oracles.textured_room import MapSource, room_capture
 
 PAPER_MINUTES = {"statistics": 7.56, "prediction": 3.93, "texturing": 3 * 3.12}
 """Minutes by stage for Veach Ajar, 160 views, 16K atlas, three maps, on a Xeon 5218 and a Quadro RTX 5000."""
@@ -61,19 +59,6 @@ def random_checkpoint(folder: Path) -> Path:
     path = folder / "random.safetensors"
     save_checkpoint(path, card, MaterialNetwork(card.network), ConfidenceNets())
     return path
-
-
-@dataclass(frozen=True)
-class _Shot:
-    """Image source of a photograph in memory."""
-
-    color: NDArray[np.float32]
-
-    def read(self, camera: Camera) -> ColorImage:
-        return ColorImage(self.color, np.ones(self.color.shape[:2], bool))
-
-    def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
-        return {}
 
 
 def shot_again(shard: Path, library: Sequence[Path], num: int, size: tuple[int, int]) -> Capture:
@@ -97,7 +82,7 @@ def shot_again(shard: Path, library: Sequence[Path], num: int, size: tuple[int, 
         cosine = seen.cosine(camera)[..., None]
         color = np.full((size[1], size[0], 3), 0.5, np.float32)
         color[on_surface] = (looked_up(albedo, uv[on_surface]) * cosine[on_surface]).astype(np.float32)
-        views.append(CaptureView(f"view-{len(views):03d}", camera, _Shot(color)))
+        views.append(CaptureView(f"view-{len(views):03d}", camera, MapSource({"diffuse_albedo": color})))
     return replace(room.capture, views=tuple(views))
 
 

@@ -19,6 +19,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from benchmarks.timing import markdown
 from datagen.formats.view_places import ViewPlace
 from datagen.foundation.buffers import MATERIAL_MAPS
 from model.checkpoint import load_checkpoint
@@ -134,11 +135,11 @@ def metal_errors(path: Path, datasets: list[Path], judge: Path | None) -> dict[s
 
 def as_table(rows: Rows) -> str:
     """Markdown table of mean squared errors."""
-    lines = ["| method | " + " | ".join(MATERIAL_MAPS) + " |", "|---" * (len(MATERIAL_MAPS) + 1) + "|"]
+    cells = []
     for label, metrics in rows.items():
         values = [metrics.get(f"{name}_mse") for name in MATERIAL_MAPS]
-        lines.append(f"| {label} | " + " | ".join("" if v is None else f"{v:.5f}" for v in values) + " |")
-    return "\n".join(lines) + "\n"
+        cells.append([label, *("" if v is None else f"{v:.5f}" for v in values)])
+    return markdown(("method", *MATERIAL_MAPS), cells) + "\n"
 
 
 def write_table(rows: Rows, run: dict[str, Any], out: Path) -> None:

@@ -30,6 +30,7 @@ import torch
 from matplotlib import pyplot
 
 from benchmarks.bench_learning import CONSTANT, TRACKS, Rows
+from benchmarks.timing import markdown
 from datagen.formats.base import canonical_json, write_bytes_atomically
 from datagen.formats.shard import INDEX_FILE, Dataset, DatasetIndex, ShardRecord
 from datagen.foundation.buffers import MATERIAL_MAPS
@@ -110,19 +111,10 @@ def constant(config: TrainingConfig, dataset: Path) -> dict[str, float]:
 
 def as_table(curves: dict[str, dict[int, dict[str, float]]], baseline: dict[str, float]) -> str:
     """Markdown table of mean squared errors."""
-    lines = ["| data | configurations | " + " | ".join(MATERIAL_MAPS) + " |"]
-    lines.append("|---" * (len(MATERIAL_MAPS) + 2) + "|")
-
-    def row(label: str, count: str, metrics: dict[str, float]) -> str:
-        return (
-            f"| {label} | {count} | " + " | ".join(f"{metrics[f'{n}_mse']:.5f}" for n in MATERIAL_MAPS) + " |"
-        )
-
-    lines.append(row(CONSTANT, "", baseline))
-    lines += [
-        row(label, str(n), metrics) for label, points in curves.items() for n, metrics in points.items()
-    ]
-    return "\n".join(lines) + "\n"
+    rows: list[tuple[str, object, dict[str, float]]] = [(CONSTANT, "", baseline)]
+    rows += [(label, n, metrics) for label, points in curves.items() for n, metrics in points.items()]
+    cells = [(label, n, *(f"{found[f'{m}_mse']:.5f}" for m in MATERIAL_MAPS)) for label, n, found in rows]
+    return markdown(("data", "configurations", *MATERIAL_MAPS), cells) + "\n"
 
 
 def plot(curves: dict[str, dict[int, dict[str, float]]], baseline: dict[str, float], path: Path) -> None:

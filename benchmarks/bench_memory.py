@@ -23,7 +23,7 @@ import psutil
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.timing import Stopwatch
+from benchmarks.timing import RESULTS, Stopwatch, write_report
 from datagen.formats.asset import Material, SlotMaterial, Texture
 from datagen.formats.configuration import (
     ColorAdjustment,
@@ -40,7 +40,6 @@ from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
 from oracles.rendering_scenes import SmallScene, box, placed, quad
 
-RESULTS = Path(__file__).resolve().parents[1] / "benchmarks" / "results"
 LIMIT_MB = 100.0
 NUM_MATERIALS = 12
 TEXTURE_PX = 512
@@ -172,8 +171,7 @@ def main() -> None:
         "limit_mb": LIMIT_MB,
         "seconds": round(watch.wall["all"][0], 1),
     }
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_report(result, arguments.out, is_printed=False)
     print(json.dumps(result))
     sys.exit(growth > LIMIT_MB)
 

@@ -16,35 +16,25 @@ stored in --out and not repeated.
 from __future__ import annotations
 
 import argparse
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
-from benchmarks.timing import write_report
-from datagen.formats.base import canonical_json
+from benchmarks.timing import RESULTS, markdown, planned_folder, write_report
 from datagen.formats.recipe import ObjectRecipe, Recipe
 from datagen.tradeoff.selection import Point, as_row, excess_over_front, points_of
 from datagen.tradeoff.sweep import Sweep, SweepOptions
 
-REPOSITORY = Path(__file__).resolve().parents[1]
 FIXED = "path_samples=2,4,8,16,32,64,128,256"
 CLAMP = 30.0  # firefly clamp of draft and standard
 SLACK, TIME_SLACK = 1.25, 1.5
 
 
-def planned_folder(out: Path, configurations: int) -> Path:
+def planned_rooms(out: Path, configurations: int) -> Path:
     """Plan ``configurations`` of the bundled library unless ``out`` contains them; returns their folder."""
-    folder = out / f"plan-{configurations}"
-    if not (folder / "plan.json").is_file():
-        out.mkdir(parents=True, exist_ok=True)
-        count = ObjectRecipe(count=(10, 24))
-        recipe = Recipe(name="qualities", seed=71, configurations=configurations, views=12, objects=count)
-        path = out / "recipe.yaml"
-        path.write_bytes(canonical_json(recipe))  # JSON is YAML
-        command = [sys.executable, "-m", "datagen", "plan", str(path), "--out", str(folder)]
-        subprocess.run(command, cwd=REPOSITORY, check=True)
-    return folder
+    count = ObjectRecipe(count=(10, 24))
+    recipe = Recipe(name="qualities", seed=71, configurations=configurations, views=12, objects=count)
+    return planned_folder(out / f"plan-{configurations}", recipe, out / "recipe.yaml")
 
 
 def excesses(points: list[Point]) -> dict[str, dict[str, float]]:
@@ -72,7 +62,7 @@ def main() -> None:
     parser.add_argument(
         "--time-slack", type=float, default=TIME_SLACK, help="allowed excess of processor time"
     )
-    parser.add_argument("--out", type=Path, default=REPOSITORY / "benchmarks" / "results" / "qualities")
+    parser.add_argument("--out", type=Path, default=RESULTS / "qualities")
     arguments = parser.parse_args()
     qualities = "quality=draft,standard" + (",reference" if arguments.reference else "")
     options = SweepOptions(
@@ -83,23 +73,22 @@ def main() -> None:
         sweeps=(FIXED, qualities),
         with_factorial=False,
     )
-    folder = planned_folder(arguments.out, arguments.configurations)
+    folder = planned_rooms(arguments.out, arguments.configurations)
     sweep = Sweep(folder, arguments.out / "sweep", options)
     fixed = [setting for setting in sweep.settings if not setting.quality]
     sweep.settings += [replace(setting, irradiance_cache=1, firefly_clamp=CLAMP) for setting in fixed]
     points = points_of(sweep.run(lambda what, _: print(what, file=sys.stderr)))
     found = excesses(points)
-    print("| setting | relMSE | worst room | light paths | processor s | excess: paths | excess: time |")
-    print("|---|---|---|---|---|---|---|")
+    head = ("setting", "relMSE", "worst room", "light paths", "processor s", "excess: paths", "excess: time")
+    rows = []
     for p in sorted(points, key=lambda p: p.rel_mse, reverse=True):
         name = p.setting.quality or f"{p.setting.path_samples} paths"
         name += ", cached" if p.setting.irradiance_cache else ""
         excess = found.get(p.setting.quality)
-        cells = f"{excess['path_samples']:.2f} | {excess['cpu_s']:.2f}" if excess else " | "
-        print(
-            f"| {name} | {p.rel_mse:.5f} | {p.worst_rel_mse:.5f} | {p.path_samples:.1f} | {p.cpu_s:.2f} | "
-            f"{cells} |"
-        )
+        cells = [f"{value:.2f}" for value in excess.values()] if excess else ["", ""]
+        errors = (f"{p.rel_mse:.5f}", f"{p.worst_rel_mse:.5f}")
+        rows.append([name, *errors, f"{p.path_samples:.1f}", f"{p.cpu_s:.2f}", *cells])
+    print(markdown(head, rows))
     result = {"points": [as_row(p) for p in points], "excess": found, **sweep.description()}
     write_report(result, arguments.out / "bench_qualities.json", is_printed=False)
     limits = {"path_samples": arguments.slack, "cpu_s": arguments.time_slack}

@@ -25,8 +25,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from benchmarks.bench_view import RESULTS, configuration_of, converted
-from benchmarks.timing import write_report
+from benchmarks.bench_view import configuration_of, converted
+from benchmarks.timing import REPOSITORY, RESULTS, write_report
 from datagen.assembly.plan import assemble
 from datagen.formats.base import canonical_json, parse_model, sha256_hex
 from datagen.formats.configuration import Configuration
@@ -42,7 +42,7 @@ from datagen.rendering.transport.integrator import PathTracer
 BUNDLED = ("living_room", "kitchen", "bathroom", "dining_room", "study")
 IMPORTED = ("staircase", "veach-ajar", "bathroom2", "staircase2", "contemporary")
 FOLDERS = {"contemporary": "bathroom"}  # scenes with the same name as a bundled room
-IMAGE = Path(__file__).resolve().parents[1] / "docs" / "images" / "recorded_error.png"
+IMAGE = REPOSITORY / "docs" / "images" / "recorded_error.png"
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.bench_qualities import REPOSITORY, planned_folder
-from benchmarks.timing import Stopwatch, timed, write_report
+from benchmarks.bench_qualities import planned_rooms
+from benchmarks.timing import RESULTS, Stopwatch, timed, write_report
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.recipe import RenderRecipe
 from datagen.library import Library
@@ -71,9 +71,9 @@ def main() -> None:
     parser.add_argument("--configurations", type=int, default=6)
     parser.add_argument("--samples", type=int, default=32)
     parser.add_argument("--size", type=int, nargs=2, default=(160, 96))
-    parser.add_argument("--out", type=Path, default=REPOSITORY / "benchmarks" / "results" / "sky_guide")
+    parser.add_argument("--out", type=Path, default=RESULTS / "sky_guide")
     arguments = parser.parse_args()
-    folder = DatasetFolder(planned_folder(arguments.out, arguments.configurations))
+    folder = DatasetFolder(planned_rooms(arguments.out, arguments.configurations))
     library = Library(folder.library_paths())
     results = {}
     print("| room | sky's share | learning s | variance | time | same noise in |\n|---|---|---|---|---|---|")

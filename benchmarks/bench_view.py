@@ -27,7 +27,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.timing import Stopwatch, interleaved, machine, summary, write_report
+from benchmarks.timing import REPOSITORY, RESULTS, Stopwatch, interleaved, machine, summary, write_report
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
 from datagen.formats.recipe import RenderRecipe
@@ -42,9 +42,7 @@ from datagen.rendering.error import relative_mse
 from datagen.rendering.renderer import SceneRenderer
 from datagen.rendering.view_job import RenderedView
 
-REPOSITORY = Path(__file__).resolve().parents[1]
 SHARED_DATA = Path(os.environ.get("SCENE_DATA", REPOSITORY.parent / "shared" / "data"))
-RESULTS = REPOSITORY / "benchmarks" / "results"
 SAMPLES_A_CHUNK = 64
 
 
@@ -129,16 +127,24 @@ def references(
     pairs = {}
     for view in views:
         path = folder / f"{configuration.id}-{width}x{height}-view{view}-{samples}.npz"
-        if not path.is_file():
-            start = time.perf_counter()
-            halves = [reference_half(renderer, view, samples, half) for half in (0, 1)]
-            partial = path.with_suffix(".partial.npz")
-            np.savez(partial, *halves)
-            partial.replace(path)
-            print(f"reference of view {view}: {time.perf_counter() - start:.0f} s", file=sys.stderr)
+        write_reference(path, ("arr_0", "arr_1"), renderer, view, samples, "reference")
         with np.load(path) as data:
             pairs[view] = (data["arr_0"], data["arr_1"])
     return pairs
+
+
+def write_reference(
+    path: Path, names: tuple[str, str], renderer: SceneRenderer, view: int, samples: int, label: str
+) -> None:
+    """Write two independent converged images (H, W, 3) of a view by ``names``, unless ``path`` exists."""
+    if path.is_file():
+        return
+    start = time.perf_counter()
+    halves = [reference_half(renderer, view, samples, half) for half in (0, 1)]
+    partial = path.with_suffix(".partial.npz")
+    np.savez(partial, **dict(zip(names, halves, strict=True)))
+    partial.replace(path)
+    print(f"{label} of view {view}: {time.perf_counter() - start:.0f} s", file=sys.stderr)
 
 
 def reference_half(renderer: SceneRenderer, view: int, samples: int, half: int) -> np.ndarray:

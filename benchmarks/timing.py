@@ -1,20 +1,27 @@
 # SPDX-License-Identifier: MIT
-"""Time measurement of the benchmarks: warm-up, interleaved repeats, medians and quartiles, JSON reports."""
+"""Time measurement of the benchmarks: warm-up, interleaved repeats, medians and quartiles; their reports."""
 
 from __future__ import annotations
 
 import json
 import os
 import platform
+import subprocess
+import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+if TYPE_CHECKING:
+    from datagen.formats.recipe import Recipe
+
 Action = Callable[[], Any]
+REPOSITORY = Path(__file__).resolve().parents[1]
+RESULTS = REPOSITORY / "benchmarks" / "results"
 
 
 class Seconds(NamedTuple):
@@ -89,6 +96,24 @@ def machine() -> dict[str, Any]:
         "cores": os.cpu_count(),
         "python": platform.python_version(),
     }
+
+
+def markdown(head: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
+    """Markdown table with the columns ``head``, without a final newline."""
+    lines = ["| " + " | ".join(map(str, row)) + " |" for row in (head, *rows)]
+    return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
+
+
+def planned_folder(folder: Path, recipe: Recipe, path: Path, stdout: int | None = None) -> Path:
+    """Plan ``recipe``, written to ``path``, unless ``folder`` contains its plan; returns ``folder``."""
+    from datagen.formats.base import canonical_json
+
+    if not (folder / "plan.json").is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(canonical_json(recipe))  # JSON is YAML
+        command = [sys.executable, "-m", "datagen", "plan", str(path), "--out", str(folder)]
+        subprocess.run(command, check=True, cwd=REPOSITORY, stdout=stdout)
+    return folder
 
 
 def write_report(report: Any, out: Path | None, *, is_printed: bool = True) -> None:

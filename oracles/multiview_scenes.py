@@ -55,6 +55,14 @@ def hit_boxes(origins: NDArray, directions: NDArray) -> tuple[NDArray, NDArray]:
     return nearest, normals
 
 
+def seen_boxes(camera: Camera) -> tuple[NDArray, NDArray]:
+    """Depth along the optical axis (H, W, 1), 0 without a hit, and normals (H, W, 3) at the pixel centres."""
+    directions, shape = camera.ray_directions().reshape(-1, 3), (camera.height_px, camera.width_px)
+    t, normals = hit_boxes(np.broadcast_to(camera.position_m, directions.shape), directions)
+    depth = np.where(np.isfinite(t), t * (directions @ camera.forward), 0)
+    return depth.reshape(*shape, 1), normals.reshape(*shape, 3)
+
+
 def is_occluded(centres: NDArray, points: NDArray) -> NDArray:
     """Mask (N,) of the ``points`` (N, 3) that are occluded from camera ``centres`` (N, 3)."""
     t, _ = hit_boxes(centres, points - centres)
@@ -76,13 +84,10 @@ def make_views(
         width, height = sizes[index % len(sizes)]
         intrinsics = 0.9 * width, 0.93 * width, 0.5 * width + 0.3, 0.5 * height - 0.2
         camera = Camera(width, height, *intrinsics, look_at(position, target))
-        directions = camera.ray_directions().reshape(-1, 3)
-        t, normals = hit_boxes(np.broadcast_to(camera.position_m, directions.shape), directions)
-        depth = np.where(np.isfinite(t), t * (directions @ camera.forward), 0).reshape(height, width, 1)
+        depth, normals = seen_boxes(camera)
         mask = (depth > 0).astype(np.float32)
         emitters = rng.random(mask.shape) < 0.03
         mask[emitters] *= 0.3
-        normals = normals.reshape(height, width, 3)
         color = rng.random((height, width, 3)) if is_noise else 0.5 + 0.5 * normals
         color, depth, normals = (array.astype(np.float32) for array in (color, depth, normals))
         views.append(StatisticsView(camera, color, depth, normals, mask, f"view_{index:02d}"))

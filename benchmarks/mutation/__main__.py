@@ -33,6 +33,7 @@ import yaml
 
 from benchmarks.mutation.mutants import Mutant, find_mutants
 from benchmarks.mutation.targets import TARGETS, Target
+from datagen.formats.base import write_bytes_atomically
 
 PROJECT = Path(__file__).resolve().parents[2]
 EQUIVALENT = Path(__file__).with_name("equivalent.yaml")
@@ -276,9 +277,7 @@ def main() -> None:
                 "statement": mutant.statement,
                 **found,
             }
-            partial = options.out.with_suffix(".partial")
-            partial.write_text(json.dumps(results, indent=1))
-            partial.replace(options.out)
+            write_bytes_atomically(options.out, json.dumps(results, indent=1).encode())
             print(f"{found['verdict']:8} {found['seconds']:6.1f} s  {module}:{mutant.first_line}  "
                   f"{mutant.text!r} -> {mutant.new!r}", flush=True)  # fmt: skip
     print(table(results))

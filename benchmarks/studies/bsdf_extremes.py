@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.special import erf
 
+from benchmarks.timing import markdown
 from datagen.foundation.progress import Bars
 from mitsuba_plugins import register, select_variant
 from oracles import brdf as oracle
@@ -29,13 +30,6 @@ from oracles import brdf as oracle
 BATCH = 4_000_000
 ANGLES_DEG = (0, 30, 45, 60, 75, 85, 89)
 EPS = float(np.finfo(np.float32).eps)
-
-
-def _print_table(head: list[str], rows: list[list[Any]]) -> None:
-    print("| " + " | ".join(head) + " |")
-    print("|" + "---|" * len(head))
-    for row in rows:
-        print("| " + " | ".join(str(cell) for cell in row) + " |")
 
 
 # ---- density ----
@@ -70,7 +64,7 @@ def print_density(num: int = 200_000) -> None:
             error = np.abs(got - expected) / expected / EPS
             row.append(f"{np.median(error):.2g} / {np.quantile(error, 0.999):.2g}")
         rows.append(row)
-    _print_table(["alpha", *(f"{name}: median / 99.9 %" for name in forms)], rows)
+    print(markdown(["alpha", *(f"{name}: median / 99.9 %" for name in forms)], rows))
 
 
 def print_slopes() -> None:
@@ -107,7 +101,7 @@ def print_slopes() -> None:
             dr.sync_thread()
             seconds.append(time.perf_counter() - start)
         rows.append([num_steps, f"{worst:.1e}", f"{np.median(seconds):.3f}"])
-    _print_table(["steps", "largest error of the variate", "s for 4e6"], rows)
+    print(markdown(["steps", "largest error of the variate", "s for 4e6"], rows))
 
 
 # ---- energy ----
@@ -155,7 +149,7 @@ def print_energy() -> None:
                 albedo = oracle.directional_albedo(wi, diffuse, specular, roughness)
                 row.append(f"**{albedo:.2f}**" if albedo > 1.005 else f"{albedo:.2f}")
             rows.append(row)
-    _print_table(["D, S", "R", *(f"{a} deg" for a in ANGLES_DEG)], rows)
+    print(markdown(["D, S", "R", *(f"{a} deg" for a in ANGLES_DEG)], rows))
     print()
     rows = []
     for roughness in (0.0, 0.1, 0.3, 0.5, 1.0):
@@ -182,7 +176,7 @@ def print_energy() -> None:
                 ]
             )
     head = ["R", "D (S = 0.04)", "mean albedo", "largest", "growth a bounce"]
-    _print_table([*head, "8 bounces", "8 bounces, bounded", "64 bounces"], rows)
+    print(markdown([*head, "8 bounces", "8 bounces, bounded", "64 bounces"], rows))
 
 
 # ---- 10^9 evaluations ----
@@ -291,7 +285,7 @@ def print_evaluations(total: float) -> bool:
     seconds = time.perf_counter() - start
     rows = [[name, *counts[:3], f"{counts[3]:.4g}"] for name, counts in bad.items()]
     print(f"{num_batches * BATCH:.3g} cases in {seconds:.0f} s\n")
-    _print_table(["quantity", "NaN", "Inf", "negative", "largest"], rows)
+    print(markdown(["quantity", "NaN", "Inf", "negative", "largest"], rows))
     return all(not any(counts[:3]) for counts in bad.values())
 
 

@@ -40,6 +40,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmarks.studies.cycles_scene import export
+from benchmarks.timing import REPOSITORY
 from datagen.formats.base import canonical_json, read_json, sha256_hex
 from datagen.formats.configuration import Configuration, ViewCamera
 from datagen.formats.package import open_package
@@ -62,7 +63,6 @@ from model.reconstruction.captures.read import read_capture
 from model.reconstruction.photos.colmap_run import MAX_POINT_ERROR_PX, camera_steps
 from model.reconstruction.photos.sparse_mesh import sparse_surface
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 FOV_X_DEG = 72.0
 FULL_WELL, READ_NOISE = 12000.0, 8.0  # electrons: a small sensor at base ISO
 JPEG_QUALITY = 92

@@ -27,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import cv2
 
+from benchmarks.timing import markdown
 from datagen.foundation.color import exposure_for, srgb_from_linear
 from datagen.foundation.images import read_image
 from datagen.importers.common import ImportOptions
@@ -92,17 +93,15 @@ def write_picture(path: Path, reference: np.ndarray, images: dict[str, np.ndarra
 
 def table(results: list[dict]) -> str:
     """Markdown table of the correlation and median ratio of each scene's pairs of images."""
-    lines = [
-        "| scene | original : reference | converted : reference | converted : original | remark |",
-        "|---|---|---|---|---|",
-    ]
+    rows = []
     for result in results:
         cells = [
             f"{result[key]['correlation']:.4f} / {result[key]['median_ratio']:.3f}"
             for key in ("original", "converted", "conversion")
         ]
-        lines.append(f"| {result['scene']} | {' | '.join(cells)} | {result['remark']} |")
-    return "\n".join(lines)
+        rows.append([result["scene"], *cells, result["remark"]])
+    pairs = ("original : reference", "converted : reference", "converted : original")
+    return markdown(("scene", *pairs, "remark"), rows)
 
 
 def main() -> None:

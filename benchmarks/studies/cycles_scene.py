@@ -14,8 +14,6 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +22,7 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from benchmarks.bench_view import reference_half
+from benchmarks.bench_view import write_reference
 from datagen.assembly.daylight import SUN_HALF_ANGLE_RAD, lookup, sun_of, sunsky
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.asset import MATERIAL_CHANNELS, EnvironmentAsset, ObjectAsset, Texture
@@ -189,14 +187,7 @@ def write_references(folder: Path, out: Path, views: list[int], samples: int) ->
     out.mkdir(parents=True, exist_ok=True)
     for view in views:
         path = out / f"view_{view:03}.npz"
-        if path.is_file():
-            continue
-        start = time.perf_counter()
-        halves = [reference_half(renderer, view, samples, half) for half in (0, 1)]
-        partial = path.with_suffix(".partial.npz")
-        np.savez(partial, first=halves[0], second=halves[1])
-        partial.replace(path)
-        print(f"our reference of view {view}: {time.perf_counter() - start:.0f} s", file=sys.stderr)
+        write_reference(path, ("first", "second"), renderer, view, samples, "our reference")
 
 
 def main() -> None:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.timing import markdown
 from datagen.formats.lights import AreaLight
 from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.buffers import BUFFERS
@@ -27,7 +28,7 @@ from datagen.foundation.exr import decode_view, encode_view, to_storage
 from datagen.multiview.statistics import StatisticsView, compute_statistics
 from datagen.multiview.visibility import PackedViews, observe_points
 from mitsuba_plugins.variant import select_variant
-from oracles.multiview_scenes import POSES, hit_boxes, make_views
+from oracles.multiview_scenes import POSES, make_views, seen_boxes
 from oracles.rendering_scenes import SmallScene, down_camera, quad, renderer
 
 SCALES = (1e-3, 1e-1, 1e2, 1e4)
@@ -127,20 +128,11 @@ def many_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[Statist
         position, target = (np.array(p) for p in POSES[index % len(POSES)])
         camera: Camera = base[index % len(base)].camera
         camera = replace(camera, world_from_camera=look_at(position + rng.uniform(-0.2, 0.2, 3), target))
-        directions = camera.ray_directions().reshape(-1, 3)
-        t, normals = hit_boxes(np.broadcast_to(camera.position_m, directions.shape), directions)
-        shape = (camera.height_px, camera.width_px)
-        depth = np.where(np.isfinite(t), t * (directions @ camera.forward), 0).reshape(*shape, 1)
-        found.append(
-            StatisticsView(
-                camera,
-                rng.random((*shape, 3)).astype(np.float32),
-                depth.astype(np.float32),
-                normals.reshape(*shape, 3).astype(np.float32),
-                (depth > 0).astype(np.float32),
-                f"view_{index:03}",
-            )
-        )
+        depth, normals = seen_boxes(camera)
+        color = rng.random(normals.shape).astype(np.float32)
+        mask = (depth > 0).astype(np.float32)
+        depth, normals = depth.astype(np.float32), normals.astype(np.float32)
+        found.append(StatisticsView(camera, color, depth, normals, mask, f"view_{index:03}"))
     return found
 
 
@@ -178,9 +170,7 @@ def image_at_scales(cases: Sequence[tuple[float, float]]) -> list[tuple[float, f
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """Markdown table with a title."""
-    lines = [f"**{title}**", "", f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
-    lines += [f"| {' | '.join(_text(cell) for cell in row)} |" for row in rows]
-    return "\n".join(lines) + "\n"
+    return f"**{title}**\n\n{markdown(header, (map(_text, row) for row in rows))}\n"
 
 
 def _text(cell: object) -> str:

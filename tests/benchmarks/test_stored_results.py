@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from argparse import Namespace
 from pathlib import Path
 from typing import Any
@@ -47,8 +48,8 @@ def test_another_number_of_configurations_is_planned(tmp_path: Path, monkeypatch
         Path(command[6]).mkdir()
         (Path(command[6]) / "plan.json").touch()
 
-    monkeypatch.setattr(bench_qualities.subprocess, "run", plan)
-    folders = [bench_qualities.planned_folder(tmp_path, count) for count in (2, 1, 2)]
+    monkeypatch.setattr(subprocess, "run", plan)
+    folders = [bench_qualities.planned_rooms(tmp_path, count) for count in (2, 1, 2)]
     assert planned == [2, 1]
     assert folders[0] == folders[2] != folders[1]
 
