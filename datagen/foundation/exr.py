@@ -17,7 +17,7 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from datagen.foundation.buffers import BUFFERS, Buffer, get_buffer
-from datagen.foundation.errors import InputError, Problem, Problems, raise_problems
+from datagen.foundation.errors import Problems, input_error, raise_problems
 
 MAX_SIDE_PX = 16384  # larger headers are refused before any pixel is allocated
 _MAX_COMPRESSION = 500  # plausible decoded bytes per stored byte, with halves counted as floats
@@ -61,10 +61,18 @@ def encode_view(buffers: Mapping[str, NDArray[Any]], compression: str = "zip", n
         if stored.shape[:2] != shape:
             raise ValueError(f"{name}: got size {stored.shape[:2]}, expected {shape} like the other buffers")
         for index, channel in enumerate(buffer.exr_channels):
-            channels[channel] = np.ascontiguousarray(stored[..., index])
+            channels[channel] = stored[..., index]
+    return encode_channels(channels, compression, num_threads)
+
+
+def encode_channels(
+    channels: Mapping[str, NDArray[Any]], compression: str = "zip", num_threads: int = 0
+) -> bytes:
+    """Encode channels (H, W) or colours ``RGB`` (H, W, 3), by name, as the bytes of one EXR file."""
     header = {"compression": COMPRESSIONS[compression], "type": OpenEXR.scanlineimage}
     stream = io.BytesIO()
-    with OpenEXR.File(header, channels, num_threads) as file:
+    planes = {name: np.ascontiguousarray(pixels) for name, pixels in channels.items()}
+    with OpenEXR.File(header, planes, num_threads) as file:
         file.write(stream)
     return stream.getvalue()
 
@@ -77,7 +85,7 @@ def check_claim(size_px: tuple[int, int], pixel_bytes: int, num_bytes: int, wher
     width, height = size_px
     if width * height * pixel_bytes > _CLAIM_FREE_BYTES + _MAX_COMPRESSION * num_bytes:
         got = f"{width} x {height} pixels in {num_bytes} bytes"
-        raise InputError(Problem(where, "size", got, "a size that the file can contain", _READ_REMEDY))
+        raise input_error(where, "size", got, "a size that the file can contain", _READ_REMEDY)
 
 
 def claimed_size(data: bytes, where: Path | str) -> tuple[int, int]:
@@ -87,12 +95,11 @@ def claimed_size(data: bytes, where: Path | str) -> tuple[int, int]:
         with OpenEXR.File(io.BytesIO(data), header_only=True, separate_channels=True) as file:
             low, high = (np.asarray(corner, dtype=np.int64) for corner in file.header()["dataWindow"])
             width, height = (int(side) for side in high - low + 1)
-            check_claim((width, height), 4 * len(file.header()["channels"]), len(data), where)
-            return width, height
-    except InputError:
-        raise
+            pixel_bytes = 4 * len(file.header()["channels"])
     except _EXR_ERRORS as error:
-        raise InputError(Problem(where, "", str(error), "an intact EXR file", _READ_REMEDY)) from None
+        raise input_error(where, "", error, "an intact EXR file", _READ_REMEDY) from None
+    check_claim((width, height), pixel_bytes, len(data), where)
+    return width, height
 
 
 def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dict[str, NDArray[Any]]:
@@ -102,7 +109,7 @@ def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dic
         with OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=num_threads) as file:
             return {name: channel.pixels for name, channel in file.channels().items()}
     except _EXR_ERRORS as error:
-        raise InputError(Problem(where, "", str(error), "an intact EXR file", _READ_REMEDY)) from None
+        raise input_error(where, "", error, "an intact EXR file", _READ_REMEDY) from None
 
 
 def decode_view(
@@ -120,7 +127,7 @@ def decode_view(
     try:
         data = source if isinstance(source, bytes) else source.read_bytes()
     except OSError as error:
-        raise InputError(Problem(where, "", str(error), "a readable EXR file", _READ_REMEDY)) from None
+        raise input_error(where, "", error, "a readable EXR file", _READ_REMEDY) from None
     pixels = decode_channels(data, where, num_threads)
     complete = [name for name, buffer in BUFFERS.items() if all(c in pixels for c in buffer.exr_channels)]
     result = {}

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.errors import input_error
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
@@ -83,6 +84,12 @@ def normalized(pixels: NDArray[Any]) -> NDArray[np.float32]:
 def quantized_bytes(values: NDArray[Any]) -> NDArray[np.uint8]:
     """Quantise values, clipped to [0, 1], to 8 bits."""
     return (np.clip(values, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+
+
+def shown_bytes(linear_rgb: NDArray[Any], exposure: float) -> NDArray[np.uint8]:
+    """Encode linear colours times ``exposure`` as 8-bit sRGB; values that are not finite become black."""
+    finite = np.where(np.isfinite(linear_rgb), linear_rgb, 0).astype(np.float32)
+    return quantized_bytes(srgb_from_linear(finite * exposure))
 
 
 def encode_png(pixels: NDArray[Any]) -> bytes:

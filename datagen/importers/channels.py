@@ -8,7 +8,6 @@ A *value* is a constant (float or colour), an :class:`ImageSource` (an unchanged
 from __future__ import annotations
 
 import hashlib
-import io
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from datagen.formats.textures import texture_values
 from datagen.foundation.budget import Budget
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.exr import encode_view
 from datagen.foundation.images import IMAGE_SUFFIXES, encode_png, image_size, read_image
 from datagen.foundation.naming import slug
 
@@ -249,10 +249,4 @@ class TextureFiles:
 
 def encode_exr(pixels: NDArray) -> bytes:
     """Encode linear pixels (H, W, 3 or more) as an EXR file of half-float RGB."""
-    import OpenEXR
-
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    rgb = np.ascontiguousarray(pixels[..., :3].clip(-65504, 65504).astype(np.float16))
-    stream = io.BytesIO()
-    OpenEXR.File(header, {"RGB": rgb}).write(stream)
-    return stream.getvalue()
+    return encode_view({"beauty": pixels[..., :3]})

@@ -25,6 +25,7 @@ from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.color import photographic_exposure, srgb_from_linear
 from datagen.foundation.errors import InputError, Problem, raise_problems
 from datagen.foundation.exr import decode_view
+from datagen.foundation.images import quantized_bytes
 from datagen.foundation.progress import Advance, no_advance
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ def screen_image(name: str, view: Mapping[str, NDArray], scales: Scales) -> NDAr
     else:
         exposure = 1.0 if name in ("diffuse_albedo", "specular_albedo") else scales.exposure
         picture = srgb_from_linear(array * exposure)
-    picture = (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
+    picture = quantized_bytes(picture)
     rows, columns = np.indices(is_valid.shape)
     hatch = np.where(((rows + columns) // 4 % 2)[..., None] == 0, 58, 46).astype(np.uint8)
     return np.where(is_valid[..., None], picture, hatch)
@@ -203,7 +204,7 @@ def _draw_foot(
         draw.text((x, y), texts.get(name, "exposed by view, sRGB"), _FAINT, font)
         return
     ramp = _colored(np.tile(np.linspace(0, 1, width), (_LABEL_PX, 1)))
-    sheet.paste(Image.fromarray((ramp * 255 + 0.5).astype(np.uint8)), (x, y))
+    sheet.paste(Image.fromarray(quantized_bytes(ramp)), (x, y))
     low, high = ends[name]
     draw.text((x, y + _LABEL_PX + 3), low, _FAINT, font)
     draw.text((x + width - _label_width(high), y + _LABEL_PX + 3), high, _FAINT, font)

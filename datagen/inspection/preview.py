@@ -18,9 +18,9 @@ import numpy as np
 
 from datagen.formats.base import read_json, write_bytes_atomically
 from datagen.formats.view import ViewRecord
-from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view
+from datagen.foundation.images import shown_bytes
 from datagen.foundation.progress import duration
 
 PREVIEW_FILE = "preview.html"
@@ -119,9 +119,7 @@ def _picture(beauty: np.ndarray, exposure: float) -> str:
     """Encode radiance (H, W, 3) times ``exposure`` as a JPEG in a data URI."""
     from PIL import Image
 
-    finite = np.where(np.isfinite(beauty), beauty, 0).astype(np.float32)
-    shown = (255 * np.clip(srgb_from_linear(np.maximum(finite, 0) * exposure), 0, 1) + 0.5).astype(np.uint8)
-    picture = Image.fromarray(shown)
+    picture = Image.fromarray(shown_bytes(beauty, exposure))
     picture.thumbnail((_WIDTH_PX, _WIDTH_PX))
     stream = io.BytesIO()
     picture.save(stream, "JPEG", quality=85)

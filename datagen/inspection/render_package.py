@@ -21,8 +21,12 @@ def render_package(
     package_path: Path, out: Path, samples: int = 64, max_depth: int = 8, denoise: bool = False
 ) -> list[Path]:
     """Render every camera of a package; returns the EXR files in the order of the cameras."""
+    import numpy as np
+
+    from datagen.formats.base import write_bytes_atomically
     from datagen.formats.recipe import RenderRecipe
     from datagen.formats.standalone import configuration_of
+    from datagen.foundation.exr import encode_channels
     from datagen.library import Library
     from datagen.rendering.renderer import SceneRenderer
 
@@ -35,19 +39,10 @@ def render_package(
     written = []
     for view in renderer.render_views(range(len(configuration.cameras))):
         path = out / f"{configuration.cameras[view.index].name}.exr"
-        _write_rgb(path, view.buffers["beauty"])
+        beauty = view.buffers["beauty"].astype(np.float32)
+        write_bytes_atomically(path, encode_channels({"RGB": beauty}))
         written.append(path)
     return written
-
-
-def _write_rgb(path: Path, pixels: object) -> None:
-    import numpy as np
-    import OpenEXR
-
-    rgb = np.ascontiguousarray(pixels, dtype=np.float32)
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with OpenEXR.File(header, {"RGB": rgb}) as file:
-        file.write(str(path))
 
 
 def main(

@@ -13,7 +13,6 @@ prepare the scene.
 
 from __future__ import annotations
 
-import io
 import statistics as stats
 import time
 from collections.abc import Iterator, Mapping
@@ -22,12 +21,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-import OpenEXR
 from numpy.typing import NDArray
 
 from datagen.formats.configuration import Configuration, ViewCamera
 from datagen.foundation.buffers import BUFFERS, MATERIAL_MAPS
-from datagen.foundation.exr import COMPRESSIONS, decode_view, encode_view, to_storage
+from datagen.foundation.exr import decode_view, encode_channels, encode_view, to_storage
 from datagen.library import Library
 from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
 from datagen.multiview.visibility import VisibilityOptions
@@ -191,12 +189,8 @@ def encode(buffers: Mapping[str, NDArray], setting: Setting) -> bytes:
     for name, array in buffers.items():
         dtype = np.uint32 if BUFFERS[name].pixel_type == "uint" else np.float32
         for k, channel in enumerate(BUFFERS[name].exr_channels):
-            channels[channel] = np.ascontiguousarray(array[..., k], dtype=dtype)
-    header = {"compression": COMPRESSIONS[setting.compression], "type": OpenEXR.scanlineimage}
-    stream = io.BytesIO()
-    with OpenEXR.File(header, channels) as file:
-        file.write(stream)
-    return stream.getvalue()
+            channels[channel] = array[..., k].astype(dtype)
+    return encode_channels(channels, setting.compression)
 
 
 def _errors(reference: Reference, index: int, buffers: dict[str, NDArray]) -> dict[str, float]:

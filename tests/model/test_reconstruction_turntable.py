@@ -19,10 +19,10 @@ from datagen.formats.package import open_package, write_package
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import linear_from_srgb, photographic_exposure
 from datagen.foundation.errors import InputError
-from datagen.foundation.images import read_image
+from datagen.foundation.images import read_image, shown_bytes
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.predict.sources import TRUTH
-from model.reconstruction.render.relight import Lamp, RelightOptions, render_asset, shown_bytes, write_renders
+from model.reconstruction.render.relight import Lamp, RelightOptions, render_asset, write_renders
 from model.reconstruction.render.turntable import TurntableOptions, way_cameras, write_turntable
 from oracles.textured_room import room_cameras, room_capture
 from tests.model.test_reconstruction_robustness import small_files

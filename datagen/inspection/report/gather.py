@@ -22,8 +22,9 @@ from datagen.formats.lights import Light
 from datagen.formats.shard import ShardReader, ShardRecord, View
 from datagen.formats.view import ViewRecord
 from datagen.foundation.buffers import MATERIAL_MAPS, surface_pixels
-from datagen.foundation.color import clipped_share, luminance, photographic_exposure, srgb_from_linear
+from datagen.foundation.color import clipped_share, luminance, photographic_exposure
 from datagen.foundation.errors import input_error
+from datagen.foundation.images import shown_bytes
 from datagen.inspection.contact_sheet import COLUMNS
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, count_metal_and_gloss, count_view
 from datagen.inspection.report.sources import options_of, source_views
@@ -191,7 +192,7 @@ def _write_thumbnail(path: Path, view: View) -> None:
     shown = min(_THUMBNAIL_WIDTH_PX, width)
     size = (shown, max(1, round(height * shown / width)))
     exposure = photographic_exposure(beauty, surface_pixels(view.buffers))
-    screen = (np.clip(srgb_from_linear(beauty * exposure), 0, 1) * 255 + 0.5).astype(np.uint8)
+    screen = shown_bytes(beauty, exposure)
     stream = io.BytesIO()
     Image.fromarray(screen).resize(size, Image.Resampling.BOX).save(stream, "JPEG", quality=82)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -6,7 +6,6 @@ The package is converted to a configuration for ``datagen``'s renderer.
 
 from __future__ import annotations
 
-import io
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -15,7 +14,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
 from numpy.typing import NDArray
 
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Part, Provenance, SlotMaterial
@@ -27,9 +25,10 @@ from datagen.formats.recipe import RenderRecipe
 from datagen.formats.standalone import configuration_of
 from datagen.foundation.axes import affine
 from datagen.foundation.cameras import Camera
-from datagen.foundation.color import luminance, photographic_exposure, srgb_from_linear
+from datagen.foundation.color import luminance, photographic_exposure
 from datagen.foundation.errors import input_error
-from datagen.foundation.images import encode_png, quantized_bytes, read_radiance
+from datagen.foundation.exr import encode_channels
+from datagen.foundation.images import encode_png, read_radiance, shown_bytes
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.progress import Progress
@@ -273,19 +272,9 @@ def write_renders(
     for image in lit_images(path, options, warn):
         out.mkdir(parents=True, exist_ok=True)
         exposure = exposure or options.compensation * photographic_exposure(image.color)
-        file, stream = out / f"{image.name}.exr", io.BytesIO()
-        with OpenEXR.File(
-            {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage},
-            {"RGB": np.ascontiguousarray(image.color, np.float32)},
-        ) as exr:
-            exr.write(stream)
-        write_bytes_atomically(file, stream.getvalue())
+        file = out / f"{image.name}.exr"
+        write_bytes_atomically(file, encode_channels({"RGB": image.color}))
         write_bytes_atomically(out / f"{image.name}.png", encode_png(shown_bytes(image.color, exposure)))
         written += [file, out / f"{image.name}.png"]
         progress("render", len(written) // 2, total)
     return written
-
-
-def shown_bytes(color: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]:
-    """Encode a linear image (H, W, 3) times ``exposure`` as 8-bit sRGB."""
-    return quantized_bytes(srgb_from_linear(color * exposure))

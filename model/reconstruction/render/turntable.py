@@ -19,9 +19,10 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import photographic_exposure
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import input_error
+from datagen.foundation.images import shown_bytes
 from datagen.foundation.progress import Progress
 from model.reconstruction.render.options import FILM_SUFFIXES, FilmOptions
-from model.reconstruction.render.relight import RelightOptions, environment_of, lit_images, shown_bytes
+from model.reconstruction.render.relight import RelightOptions, environment_of, lit_images
 
 MIN_RADIUS_M = 0.15  # minimum radius of the orbit, for captures from one position
 _GIF_COLORS = 255
