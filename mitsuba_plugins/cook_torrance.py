@@ -74,10 +74,6 @@ class CookTorrance(mi.BSDF):
         """Whether ``name`` is ``diffuse_albedo``, ``specular_albedo`` or ``roughness``."""
         return name in COLOR_ATTRIBUTES or name in SCALAR_ATTRIBUTES
 
-    def eval_attribute(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
-        """Same as :meth:`eval_attribute_3`."""
-        return mi.Color3f(self._attribute(name, si, active))
-
     def eval_attribute_1(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
         """Attribute ``name`` as a Float: a scalar, or the luminance of a colour; 0 if it is unknown."""
         value = self._attribute(name, si, active)
@@ -86,6 +82,8 @@ class CookTorrance(mi.BSDF):
     def eval_attribute_3(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
         """Attribute ``name`` as a Color3f, with scalars repeated in every channel; 0 if it is unknown."""
         return mi.Color3f(self._attribute(name, si, active))
+
+    eval_attribute = eval_attribute_3
 
     def _attribute(self, name: str, si: mi.SurfaceInteraction3f, active: Array) -> Array:
         if name in COLOR_ATTRIBUTES:

@@ -337,27 +337,17 @@ class MaterialBuffers(mi.SamplingIntegrator):
         develop: bool = True,
         evaluate: bool = True,
     ) -> mi.TensorXf:
-        """Render all channels of a view, (H, W, 17); ``spp`` 0 uses the sensor's sample count.
+        """Render and evaluate all channels of a view, (H, W, 17); ``spp`` 0 uses the sensor's sample count.
 
         Raises ``ValueError`` if ``develop`` is false.
         """
         if not develop:
             raise ValueError("material_buffers writes no film: develop must be True")
-        view = _make_view(scene, sensor, self.ids, bool(self.hide_emitters))
-        spp = spp or int(view.sensor.sampler().sample_count())
-        with dr.suspend_grad():
-            buffers = _render(view, spp, int(np.asarray(seed).ravel()[0]))
-            lists = ([value] if dr.depth_v(value) == 1 else value for value in buffers.values())
-            planes = [mi.Float(plane) for values in lists for plane in values]
-            num_channels = len(planes)
-            flat = dr.empty(mi.Float, view.width * view.height * num_channels)
-            pixel = dr.arange(mi.UInt32, view.width * view.height)
-            for i, plane in enumerate(planes):
-                dr.scatter(flat, plane, pixel * num_channels + i)
-            image = mi.TensorXf(flat, shape=(view.height, view.width, num_channels))
-            if evaluate:
-                dr.eval(image)
-        return image
+        chosen: Any = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+        spp = spp or int(chosen.sampler().sample_count())
+        seed = int(np.asarray(seed).ravel()[0])
+        buffers = render_material_buffers(scene, chosen, spp, seed, self.ids, bool(self.hide_emitters))
+        return mi.TensorXf(np.concatenate([b.astype(np.float32) for b in buffers.values()], axis=-1))
 
     def to_string(self) -> str:
         return f"MaterialBuffers[hide_emitters = {self.hide_emitters}]"

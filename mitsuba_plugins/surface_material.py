@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -91,65 +92,55 @@ class SurfaceLobes:
         return 2.0 / (1.0 + dr.sqrt(1.0 + alpha2 * mi.Frame3f.tan_theta_2(wo)))
 
 
-Evaluator = Callable[[Any, Any], tuple[Any, Any, Any, Any, Any]]
-"""Function of interaction and active mask that returns the values of :class:`SurfaceChannels`."""
+Channels = tuple[Any, Any, Any, Any, Any]
+"""The values of :class:`SurfaceChannels`."""
+Evaluator = Callable[[Any, Any], Channels]
+"""Function of interaction and active mask."""
 
 
-def _cook_torrance_evaluator(bsdf: CookTorrance) -> Evaluator:
-    def evaluate(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
-        diffuse, specular, roughness = bsdf.surface_parameters(si, active)
-        if not bsdf.two_sided:  # the back of a one-sided surface reflects nothing
-            is_front = si.wi.z > 0.0
-            diffuse, specular = dr.select(is_front, diffuse, 0.0), dr.select(is_front, specular, 0.0)
-        normal = mi.Normal3f(0.0, 0.0, dr.mulsign(mi.Float(1.0), si.wi.z))
-        return diffuse, specular, roughness, normal, mi.Float(1.0)
-
-    return evaluate
-
-
-def _mask_evaluator(opacity_texture: Any, nested: Evaluator) -> Evaluator:
-    def evaluate(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
-        *channels, nested_opacity = nested(si, active)
-        opacity = dr.clip(opacity_texture.eval_1(si, active), 0.0, 1.0)
-        return (*channels, opacity * nested_opacity)
-
-    return evaluate
-
-
-def _normal_map_evaluator(texture: Any, nested: Evaluator) -> Evaluator:
-    def evaluate(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
-        normal = dr.fma(mi.Normal3f(texture.eval_3(si, active)), 2.0, -1.0)
-        # Mitsuba's rule for a mapped normal that faces away from the viewer (flip_invalid_normals).
-        is_invalid = si.wi.z * dr.dot(si.wi, normal) <= 0.0
-        tangential = dr.select(is_invalid, -1.0, 1.0)
-        normal = mi.Normal3f(normal.x * tangential, normal.y * tangential, normal.z)
-        length2 = dr.squared_norm(normal)
-        is_degenerate = ~(length2 > 1e-12)  # a black texel encodes no direction
-        normal = dr.select(is_degenerate, mi.Normal3f(0.0, 0.0, 1.0), normal * dr.rsqrt(length2))
-        # The nested material depends only on the side of wi in the mapped frame.
-        side = dr.mulsign(mi.Float(1.0), dr.dot(normal, si.wi))
-        nested_si = mi.SurfaceInteraction3f(si)
-        nested_si.wi = mi.Vector3f(0.0, 0.0, side)
-        diffuse, specular, roughness, _, opacity = nested(nested_si, active)
-        return diffuse, specular, roughness, normal * side, opacity
-
-    return evaluate
-
-
-def _two_sided_evaluator(front: Evaluator, back: Evaluator) -> Evaluator:
-    def evaluate(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+def _cook_torrance(bsdf: CookTorrance, si: Any, active: Any) -> Channels:
+    diffuse, specular, roughness = bsdf.surface_parameters(si, active)
+    if not bsdf.two_sided:  # the back of a one-sided surface reflects nothing
         is_front = si.wi.z > 0.0
-        mirrored = mi.SurfaceInteraction3f(si)
-        mirrored.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
-        channels = front(mirrored, active)
-        if back is not front:
-            other = back(mirrored, active)
-            channels = tuple(dr.select(is_front, f, b) for f, b in zip(channels, other, strict=True))
-        diffuse, specular, roughness, normal, opacity = channels
-        normal = mi.Normal3f(normal.x, normal.y, dr.mulsign(normal.z, si.wi.z))
-        return diffuse, specular, roughness, normal, opacity
+        diffuse, specular = dr.select(is_front, diffuse, 0.0), dr.select(is_front, specular, 0.0)
+    normal = mi.Normal3f(0.0, 0.0, dr.mulsign(mi.Float(1.0), si.wi.z))
+    return diffuse, specular, roughness, normal, mi.Float(1.0)
 
-    return evaluate
+
+def _mask(opacity_texture: Any, nested: Evaluator, si: Any, active: Any) -> Channels:
+    *channels, nested_opacity = nested(si, active)
+    opacity = dr.clip(opacity_texture.eval_1(si, active), 0.0, 1.0)
+    return (*channels, opacity * nested_opacity)
+
+
+def _normal_map(texture: Any, nested: Evaluator, si: Any, active: Any) -> Channels:
+    normal = dr.fma(mi.Normal3f(texture.eval_3(si, active)), 2.0, -1.0)
+    # Mitsuba's rule for a mapped normal that faces away from the viewer (flip_invalid_normals).
+    is_invalid = si.wi.z * dr.dot(si.wi, normal) <= 0.0
+    tangential = dr.select(is_invalid, -1.0, 1.0)
+    normal = mi.Normal3f(normal.x * tangential, normal.y * tangential, normal.z)
+    length2 = dr.squared_norm(normal)
+    is_degenerate = ~(length2 > 1e-12)  # a black texel encodes no direction
+    normal = dr.select(is_degenerate, mi.Normal3f(0.0, 0.0, 1.0), normal * dr.rsqrt(length2))
+    # The nested material depends only on the side of wi in the mapped frame.
+    side = dr.mulsign(mi.Float(1.0), dr.dot(normal, si.wi))
+    nested_si = mi.SurfaceInteraction3f(si)
+    nested_si.wi = mi.Vector3f(0.0, 0.0, side)
+    diffuse, specular, roughness, _, opacity = nested(nested_si, active)
+    return diffuse, specular, roughness, normal * side, opacity
+
+
+def _two_sided(front: Evaluator, back: Evaluator, si: Any, active: Any) -> Channels:
+    is_front = si.wi.z > 0.0
+    mirrored = mi.SurfaceInteraction3f(si)
+    mirrored.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
+    channels = front(mirrored, active)
+    if back is not front:
+        other = back(mirrored, active)
+        channels = tuple(dr.select(is_front, f, b) for f, b in zip(channels, other, strict=True))
+    diffuse, specular, roughness, normal, opacity = channels
+    normal = mi.Normal3f(normal.x, normal.y, dr.mulsign(normal.z, si.wi.z))
+    return diffuse, specular, roughness, normal, opacity
 
 
 class UnsupportedBsdf(Exception):
@@ -163,23 +154,24 @@ def build_evaluator(bsdf: Any) -> tuple[Evaluator, bool]:
     ``cook_torrance`` in ``mask``, ``normalmap`` and ``twosided``.
     """
     if isinstance(bsdf, CookTorrance):
-        return _cook_torrance_evaluator(bsdf), False
+        return partial(_cook_torrance, bsdf), False
     kind = bsdf.class_name()
     children, _ = exposed(bsdf)
     if kind == "MaskBSDF":
         nested, _ = build_evaluator(children["nested_bsdf"])
-        return _mask_evaluator(children["opacity"], nested), True
+        return partial(_mask, children["opacity"], nested), True
     if kind == "NormalMap":
         if children["nested_bsdf"].class_name() in ("NormalMap", "TwoSidedBRDF"):
             raise UnsupportedBsdf(f"NormalMap around {children['nested_bsdf'].class_name()}")
         nested, is_transparent = build_evaluator(children["nested_bsdf"])
-        return _normal_map_evaluator(children["normalmap"], nested), is_transparent
+        return partial(_normal_map, children["normalmap"], nested), is_transparent
     if kind == "TwoSidedBRDF":
         front, is_transparent = build_evaluator(children["brdf_0"])
-        if children.get("brdf_1", children["brdf_0"]) is children["brdf_0"]:
-            return _two_sided_evaluator(front, front), is_transparent
-        back, is_back_transparent = build_evaluator(children["brdf_1"])
-        return _two_sided_evaluator(front, back), is_transparent or is_back_transparent
+        back = front
+        if children.get("brdf_1", children["brdf_0"]) is not children["brdf_0"]:
+            back, is_back_transparent = build_evaluator(children["brdf_1"])
+            is_transparent |= is_back_transparent
+        return partial(_two_sided, front, back), is_transparent
     raise UnsupportedBsdf(kind)
 
 
@@ -189,12 +181,12 @@ def _has_normal_map(bsdf: Any) -> bool:
     return bsdf.class_name() == "NormalMap" or any(_has_normal_map(child) for child in nested)
 
 
-def _nothing(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+def _nothing(si: Any, active: Any) -> Channels:
     """Channels of a masked surface: an emitter, or the background."""
     return mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0), mi.Normal3f(0.0, 0.0, 1.0), mi.Float(1.0)
 
 
-def invisible(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+def invisible(si: Any, active: Any) -> Channels:
     """D, S, R, normal and opacity of the ``null`` BSDF, which rays pass through: all 0 but the normal."""
     return mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0), mi.Normal3f(0.0, 0.0, 1.0), mi.Float(0.0)
 
@@ -245,10 +237,9 @@ class SceneMaterials:
         self._evaluators: list[Evaluator] = [_nothing]
         self.has_transparency = False
         self.has_mapped_normals = False
-        self._index_of_bsdf: dict[int, int] = {}
-        self._needs_uv: dict[int, bool] = {}
-        # Python wrappers of C++ objects are created on each access; kept so that their id() is valid
-        self._bsdfs: list[Any] = []
+        # By id(bsdf): index of the evaluator, whether it needs UVs, and the BSDF; Python wrappers of C++
+        # objects are created on each access, and id() is valid only while they exist
+        self._materials: dict[int, tuple[int, bool, Any]] = {}
         shapes: Sequence[Any] = scene.shapes()
         registry = registry_indices(scene)
         size = int(registry.max(initial=0)) + 1
@@ -287,15 +278,13 @@ class SceneMaterials:
             problems.add(f"shape {name}", "an instance", "a shape with its own material", "expand instances")
             return 0
         bsdf = shape.bsdf()
-        key = id(bsdf)
-        if key not in self._index_of_bsdf:
-            self._bsdfs.append(bsdf)
-            self._needs_uv[key] = needs_uv(bsdf)
-            self._index_of_bsdf[key] = self._add_evaluator(bsdf, name, problems)
-        if self._needs_uv[key] and shape.is_mesh() and not shape.has_vertex_texcoords():
+        if id(bsdf) not in self._materials:
+            self._materials[id(bsdf)] = self._add_evaluator(bsdf, name, problems), needs_uv(bsdf), bsdf
+        index, has_textures, _ = self._materials[id(bsdf)]
+        if has_textures and shape.is_mesh() and not shape.has_vertex_texcoords():
             expected = "UVs, which its material's textures need"
             problems.add(f"shape {name}", "a mesh without UVs", expected, "unwrap the mesh")
-        return self._index_of_bsdf[key]
+        return index
 
     def _add_evaluator(self, bsdf: Any, name: str, problems: Problems) -> int:
         if bsdf.class_name() == "Null":

@@ -7,16 +7,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 from rich.table import Table
 
 from datagen.formats.base import canonical_json, differences, read_json
 from datagen.formats.capture import CaptureFile
 from datagen.formats.package import open_package
 from datagen.formats.shard import ShardReader
-from datagen.foundation import console
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.images import image_size, read_image
 from datagen.foundation.meshes.ply import read_ply
+from datagen.foundation.progress import table_console
 from datagen.importers.common import ImportOptions
 from datagen.importers.dispatch import import_asset
 from datagen.inspection.library_table import print_library
@@ -131,11 +132,11 @@ def test_ids_are_not_truncated_in_a_pipe(capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_ids_are_folded_on_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(console.Console, "is_terminal", property(lambda self: True))
-    narrow = console.table_console()
+    monkeypatch.setattr(Console, "is_terminal", property(lambda self: True))
+    narrow = table_console()
     assert narrow.width < 1000
-    monkeypatch.setattr(console.Console, "is_terminal", property(lambda self: False))
-    wide = console.table_console()
+    monkeypatch.setattr(Console, "is_terminal", property(lambda self: False))
+    wide = table_console()
     with wide.capture() as capture:
         wide.print(Table("x" * 300))
     assert "x" * 300 in capture.get()

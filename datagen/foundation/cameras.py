@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from datagen.foundation.axes import affine
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -42,11 +44,8 @@ class Camera:
     @property
     def camera_from_world(self) -> NDArray[np.float64]:
         """Inverse of ``world_from_camera``, (4, 4)."""
-        rotation = self.world_from_camera[:3, :3]
-        inverse = np.eye(4)
-        inverse[:3, :3] = rotation.T
-        inverse[:3, 3] = -rotation.T @ self.world_from_camera[:3, 3]
-        return inverse
+        inverse = self.world_from_camera[:3, :3].T
+        return affine(inverse, -inverse @ self.position_m)
 
     @property
     def fov_x_rad(self) -> float:
@@ -115,7 +114,4 @@ def look_at(
         right = np.cross(forward, [0.0, 1.0, 0.0] if abs(forward[1]) < 0.9 else [1.0, 0.0, 0.0])
     right /= np.linalg.norm(right)
     down = np.cross(forward, right)
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.stack([right, down, forward], axis=1)
-    matrix[:3, 3] = position
-    return matrix
+    return affine(np.stack([right, down, forward], axis=1), position)

@@ -64,6 +64,15 @@ def exposure_for(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | None = Non
     return 0.9 / reference if reference > 0 else 1.0
 
 
+def cividis() -> list[list[int]]:
+    """Return the colour map of scalar images: 256 sRGB colours [red, green, blue], 0 to 255."""
+    from matplotlib import colormaps
+
+    colors = colormaps["cividis"](np.linspace(0, 1, 256))[:, :3]
+    rows: list[list[int]] = (colors * 255 + 0.5).astype(int).tolist()
+    return rows
+
+
 MAX_CLIPPED_SHARE = 0.025
 MIN_MEDIAN = 0.1  # an image with a lower median luminance looks dark; middle grey is 0.18
 MAX_DARK_CLIPPED_SHARE = 0.1  # for images that would look dark otherwise

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Progress of commands, on standard error, and durations as text."""
+"""Progress of commands, on standard error, durations as text, and the console for tables."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 Progress = Callable[[str, int, int], None]
 """Function of (stage, finished steps, total steps), such as :meth:`Bars.tell`."""
@@ -14,6 +17,7 @@ Advance = Callable[[int, int], None]
 """Function of (finished steps, total steps) of one stage."""
 
 SILENCE_S = 30.0
+_UNBOUNDED = 100_000  # characters; tables and lines use only the width that they need
 
 
 def no_advance(done: int, total: int) -> None:
@@ -25,6 +29,17 @@ def duration(seconds: float) -> str:
     if seconds < 120:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def table_console() -> Console:
+    """Return a console on standard output, as wide as the terminal or, elsewhere, as its tables need.
+
+    It prints square brackets as text, not as styles. Lines to a pipe or a file are neither cut nor wrapped.
+    """
+    from rich.console import Console
+
+    console = Console(markup=False)
+    return console if console.is_terminal else Console(width=_UNBOUNDED, markup=False)
 
 
 class Bars:

@@ -70,7 +70,7 @@ class ImportWatch:
     def _print_summary(self) -> None:
         from rich.table import Table
 
-        from datagen.foundation.console import table_console
+        from datagen.foundation.progress import table_console
 
         table = Table("category", "imported", "already present", "refused")
         by_category: dict[str, Counter[str]] = {}

@@ -200,7 +200,7 @@ def print_report(findings: list[Finding]) -> None:
     from rich.table import Column, Table
     from rich.text import Text
 
-    from datagen.foundation.console import table_console
+    from datagen.foundation.progress import table_console
 
     table = Table(Column("what", overflow="fold"), Column("found", overflow="fold"), "", "remedy")
     for finding in findings:

@@ -11,9 +11,8 @@ from pathlib import Path
 
 from rich.table import Column, Table
 
-from datagen.foundation.console import table_console
 from datagen.foundation.errors import input_error
-from datagen.foundation.progress import Bars
+from datagen.foundation.progress import Bars, table_console
 from datagen.library import check_library, describe_library, find_packages, resolve_library_paths
 
 

@@ -178,7 +178,7 @@ def print_rechecked(found: list[Rechecked], samples: int) -> None:
     """Print a table of recorded and true errors; ``samples`` is the number of plain paths per pixel."""
     from rich.table import Table
 
-    from datagen.foundation.console import table_console
+    from datagen.foundation.progress import table_console
 
     headings = ("view", "paths", "recorded relMSE", "true relMSE", "true / recorded", "bias")
     table = Table(*headings, title=f"against {samples} plain paths a pixel")

@@ -229,7 +229,7 @@ def print_report(report: Report) -> None:
     """Print the report as a table of checks and a list of findings."""
     from rich.table import Table
 
-    from datagen.foundation.console import table_console
+    from datagen.foundation.progress import table_console
 
     console = table_console()
     table = Table("check", "asserts", "checked", "errors", "warnings", title=report.path)

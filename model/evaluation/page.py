@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.buffers import MATERIAL_MAPS
-from datagen.foundation.color_maps import cividis
+from datagen.foundation.color import cividis
 from model.evaluation.confidence_chart import confidence_svg
 from model.evaluation.measure_tables import image_noise
 from model.evaluation.metrics import shown

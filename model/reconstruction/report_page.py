@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.foundation.color import srgb_from_linear
-from datagen.foundation.color_maps import cividis
+from datagen.foundation.color import cividis, srgb_from_linear
 from datagen.foundation.images import encode_png
 from model.reconstruction.infer_options import InferReport
 from model.reconstruction.stages import ViewPicture

@@ -16,8 +16,7 @@ import pytest
 
 from datagen.formats.shard import Dataset, ShardReader, View
 from datagen.foundation.buffers import MATERIAL_MAPS
-from datagen.foundation.color import srgb_from_linear
-from datagen.foundation.color_maps import cividis
+from datagen.foundation.color import cividis, srgb_from_linear
 from datagen.foundation.exr import decode_view, encode_view
 from datagen.foundation.images import encode_png
 from datagen.inspection.report.gather import SHOWN_BUFFERS

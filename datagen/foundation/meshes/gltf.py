@@ -20,6 +20,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.axes import affine
 from datagen.foundation.budget import Budget
 from datagen.foundation.documents import parse_json
 from datagen.foundation.errors import InputError, input_error
@@ -129,13 +130,9 @@ class GltfFile:
         return entries[index]
 
     def _load(self) -> dict[str, Any]:
-        try:
-            if self.path.stat().st_size > MAX_FILE_BYTES:
-                raise input_error(self.path, got="over 2 GB", expected="a glTF file")
-            self.budget.hold_file(self.path)
-            data = self.path.read_bytes()
-        except OSError as error:
-            raise input_error(self.path, got=error.strerror or error, expected="a glTF file") from None
+        if self.path.is_file() and self.path.stat().st_size > MAX_FILE_BYTES:
+            raise input_error(self.path, got="over 2 GB", expected="a glTF file")
+        data = self.budget.read_file(self.path, "a glTF file")
         if data[:4] == b"glTF":
             data = self._split_binary(data)
         if not data.strip(b" \0"):
@@ -147,9 +144,7 @@ class GltfFile:
             text = data.decode("utf-8")
         except UnicodeDecodeError:
             expected = "a glTF file: .glb, or .gltf in UTF-8"
-            raise input_error(
-                self.path, "", "neither binary glTF nor text", expected, "check the file"
-            ) from None
+            raise self.error("", "neither binary glTF nor text", expected, "check the file") from None
         value = parse_json(text, self.path, self.budget, "export the file again")
         if not isinstance(value, dict):
             raise input_error(self.path, got=type(value).__name__, expected="a glTF document")
@@ -188,9 +183,8 @@ class GltfFile:
         """Return the content of buffer ``index``. Raises :class:`InputError` if missing or cut short."""
         if index not in self._buffers:
             entry = self.item("buffers", index, "bufferViews")
-            if "uri" not in entry:
-                content: bytes | Path = self._binary
-            else:
+            content: bytes | Path = self._binary
+            if "uri" in entry:
                 content = self.resource(str(entry["uri"]), f"buffers[{index}].uri")
             if isinstance(content, Path):
                 if not content.is_file():
@@ -398,10 +392,8 @@ class GltfFile:
                 [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
             ]
         )
-        matrix = np.eye(4)
-        matrix[:3, :3] = rotation * np.asarray(node.get("scale", (1.0, 1.0, 1.0)))
-        matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
-        return matrix
+        linear = rotation * np.asarray(node.get("scale", (1.0, 1.0, 1.0)))
+        return affine(linear, node.get("translation", (0.0, 0.0, 0.0)))
 
 
 def _indices(value: object) -> list[Any]:

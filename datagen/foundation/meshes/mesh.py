@@ -226,7 +226,7 @@ def with_sound_normals(mesh: Mesh) -> tuple[Mesh, int]:
     tangent, so no shading frame exists; at that corner, the triangle's normal replaces it.
     """
     if mesh.normals is None:
-        mesh = Mesh(mesh.positions, mesh.faces, vertex_normals(mesh), mesh.uv)
+        mesh = replace(mesh, normals=vertex_normals(mesh))
     assert mesh.normals is not None
     sound = np.linalg.norm(mesh.normals, axis=1) > 1e-6  # NaN compares false
     changed = int((~sound).sum())

@@ -30,8 +30,7 @@ from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.shard import INDEX_FILE, Dataset, DatasetIndex
 from datagen.foundation.buffers import BUFFERS, MIN_COVERAGE
-from datagen.foundation.color import LUMINANCE_WEIGHTS
-from datagen.foundation.color_maps import cividis
+from datagen.foundation.color import LUMINANCE_WEIGHTS, cividis
 from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.progress import Progress
 from datagen.inspection.contact_sheet import COLUMNS

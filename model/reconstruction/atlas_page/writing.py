@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.package import Package, is_package, open_package
-from datagen.foundation.color_maps import cividis
+from datagen.foundation.color import cividis
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh, joined, vertex_normals
 from datagen.foundation.meshes.ply import read_ply

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from datagen.foundation.color import srgb_from_linear
-from datagen.foundation.color_maps import cividis
+from datagen.foundation.color import cividis, srgb_from_linear
 from datagen.foundation.images import quantized_bytes
 from datagen.geometry.views import TracedView
 from model.reconstruction.stages import Maps, ViewPicture
