@@ -20,7 +20,7 @@ from datagen.foundation.meshes.ply import read_ply
 from datagen.foundation.progress import table_console
 from datagen.importers.common import ImportOptions
 from datagen.importers.dispatch import import_asset
-from datagen.inspection.library_table import print_library
+from datagen.inspection.commands import print_library
 from datagen.library import describe_library
 from model.checkpoint import DataRecord, read_card
 from model.reconstruction.captures.mesh_file import load_mesh

@@ -7,7 +7,7 @@ sound dataset and reject pixels that would impair training.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,30 +38,26 @@ def _first(mask: NDArray) -> str:
     return f"first at row {row}, column {column}"
 
 
-def check_buffers(view: View, expected: Sequence[str], camera: Camera, where: str) -> list[Fault]:
+def check_buffers(view: View, expected: Sequence[str], camera: Camera, where: str) -> Iterator[Fault]:
     """Find expected buffers that are missing, and buffers whose shape does not fit the camera."""
-    faults = [Fault("buffer", where, f"no {name}", "this buffer") for name in expected if name not in view]
+    yield from (Fault("buffer", where, f"no {name}", "this buffer") for name in expected if name not in view)
     for name, array in view.items():
         shape = (camera.height_px, camera.width_px, BUFFERS[name].num_channels)
         if array.shape != shape:
-            faults.append(Fault("buffer", where, f"{name} of shape {array.shape}", f"{shape}"))
-    return faults
+            yield Fault("buffer", where, f"{name} of shape {array.shape}", f"{shape}")
 
 
-def check_finite(view: View, where: str) -> list[Fault]:
+def check_finite(view: View, where: str) -> Iterator[Fault]:
     """Find NaN and infinity in any floating-point buffer."""
-    faults = []
     for name, array in view.items():
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             bad = ~np.isfinite(array).all(axis=-1)
             got = f"{int(bad.sum())} pixels of {name} are NaN or Inf, {_first(bad)}"
-            faults.append(Fault("finite", where, got, "finite values"))
-    return faults
+            yield Fault("finite", where, got, "finite values")
 
 
-def check_range(view: View, where: str) -> list[Fault]:
+def check_range(view: View, where: str) -> Iterator[Fault]:
     """Find finite values outside the range of their buffer in ``BUFFERS``."""
-    faults = []
     for name, array in view.items():
         buffer = BUFFERS[name]
         if array.dtype.kind != "f":
@@ -73,8 +69,7 @@ def check_range(view: View, where: str) -> list[Fault]:
             low, high = float(array[bad].min()), float(array[bad].max())
             pixels = bad.any(axis=-1)
             got = f"{int(pixels.sum())} pixels of {name} are {low:.4g} to {high:.4g}, {_first(pixels)}"
-            faults.append(Fault("range", where, got, f"[{buffer.minimum:g}, {buffer.maximum:g}]"))
-    return faults
+            yield Fault("range", where, got, f"[{buffer.minimum:g}, {buffer.maximum:g}]")
 
 
 def check_normals(view: View, where: str) -> list[Fault]:
@@ -207,18 +202,16 @@ def check_roughness(
     names: Mapping[str, str],
     textured: Mapping[str, float],
     where: str,
-) -> list[Fault]:
+) -> Iterator[Fault]:
     """Find materials whose roughness is constant in the views although their texture varies.
 
     ``names`` maps ids (as text) to material names, ``textured`` names to the range (maximum - minimum) of
     their texture. Materials with few pixels, or with a nearly constant texture, are ignored.
     """
-    faults = []
     for material, (count, low, high) in sorted(ranges.items()):
         name = names.get(str(material), "").partition("#")[0]
         expected = textured.get(name, 0.0)
         is_shown = count >= MIN_ROUGHNESS_PIXELS and expected > 10 * MIN_ROUGHNESS_RANGE
         if is_shown and high - low < MIN_ROUGHNESS_RANGE:
             got = f"roughness of {name} is {low:.4g} on all of {count} pixels"
-            faults.append(Fault("roughness", where, got, f"values that vary by {expected:.2g}"))
-    return faults
+            yield Fault("roughness", where, got, f"values that vary by {expected:.2g}")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,10 +74,9 @@ class _ShardVerifier:
     def add(self, check: str, where: str, got: str, expected: str) -> None:
         self.report.faults.append(Fault(check, where, got, expected))
 
-    def add_problems(self, check: str, error: InputError) -> None:
+    def add_problems(self, error: InputError) -> None:
         for p in error.problems:
-            got = f"{p.field}: {p.got}" if p.field and p.got else p.field or p.got
-            self.add(check, str(p.where), got, p.expected)
+            self.add("member", str(p.where), ": ".join(filter(None, (p.field, p.got))), p.expected)
 
     def run(self) -> None:
         """Read every member, then run the checks that need all views."""
@@ -89,7 +89,7 @@ class _ShardVerifier:
                 seen.add(name)
                 self.read_member(name, data)
         except InputError as error:
-            self.add_problems("member", error)
+            self.add_problems(error)
         for name in self.images:
             self.add("member", f"{self.where}:{name}", "an image without a record", "an image and a record")
         self.check_against_configuration()
@@ -99,7 +99,7 @@ class _ShardVerifier:
         try:
             return parse_model(model, json.loads(data), where)
         except InputError as error:
-            self.add_problems("member", error)
+            self.add_problems(error)
         except (ValueError, RecursionError) as error:
             self.add("member", where, str(error), "valid JSON")
         return None
@@ -126,9 +126,8 @@ class _ShardVerifier:
 
     def check_view(self, record: ViewRecord, image: bytes, where: str) -> None:
         """Run all checks of a single view."""
-        report = self.report
-        report.num_views += 1
-        report.applied["hash"] += 1
+        self.report.num_views += 1
+        self.report.applied["hash"] += 1
         if sha256_hex(image) != record.exr_sha256:
             self.add("hash", where, f"image with SHA-256 {sha256_hex(image)[:16]}...", record.exr_sha256[:16])
         try:
@@ -137,11 +136,9 @@ class _ShardVerifier:
             for p in error.problems:
                 self.add("member", where, p.got or p.field, p.expected)
             return
-        report.applied["buffer"] += 1
         camera = record.camera.camera()
-        report.faults += checks.check_buffers(
-            view, sorted({*self.job.buffers, *record.buffers}), camera, where
-        )
+        expected = sorted({*self.job.buffers, *record.buffers})
+        self.apply("buffer", checks.check_buffers(view, expected, camera, where))
         if any(array.shape[:2] != (camera.height_px, camera.width_px) for array in view.values()):
             return  # arrays that do not fit their camera cannot be compared
         self.apply("finite", checks.check_finite(view, where))
@@ -162,7 +159,7 @@ class _ShardVerifier:
             self.roughness = checks.merge_ranges(self.roughness, checks.roughness_ranges(view))
             self.materials.update(record.materials)
 
-    def apply(self, check: str, faults: list[Fault]) -> None:
+    def apply(self, check: str, faults: Iterable[Fault]) -> None:
         self.report.applied[check] += 1
         self.report.faults += faults
 

@@ -19,7 +19,6 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view
 from datagen.inspection.findings import Fault, Report
 from datagen.inspection.report import summary
-from datagen.inspection.report.command import parse_pixels, report_command
 from datagen.inspection.report.figures import (
     NUM_COVERAGE_BINS,
     PIXEL_AXES,
@@ -28,18 +27,27 @@ from datagen.inspection.report.figures import (
     count_view,
     hue_deg,
 )
-from datagen.inspection.report.gather import GatherJob, gather_shard, light_intensity
+from datagen.inspection.report.gather import (
+    NO_VIEW,
+    GatherJob,
+    gather_shard,
+    light_intensity,
+    options_of,
+    source_views,
+)
 from datagen.inspection.report.predictions import parse_methods
-from datagen.inspection.report.sources import NO_VIEW, options_of, source_views
-from datagen.inspection.report.tiles import decode_tile, encode_tile, read_tile, write_tile
+from datagen.inspection.report.tiles import encode_tile, write_tile
 from datagen.inspection.report.writing import (
     PAGE_FILES,
     ReportOptions,
     choose_configurations,
+    parse_pixels,
+    report_command,
     write_report,
 )
 from datagen.library import Library
 from datagen.multiview.statistics import StatisticsView
+from tests.datagen.report_tiles import decode_tile, read_tile
 from tests.datagen.small_dataset import make_buffers, make_configuration, make_view_files
 from tests.datagen.small_plan import plan_small
 from tests.datagen.small_rendered import predict, rendered_dataset
@@ -346,7 +354,7 @@ def test_source_views_follow_the_options(dataset: Path) -> None:
     record = views[0].record.statistics
     assert record is not None
     without = options_of(record.model_copy(update={"include_self": False}))
-    chosen = next(source_views(inputs, without, wanted=[0]))
+    chosen = next(source_views(inputs, without))
     assert not (chosen == 0).any()
     assert ((chosen != NO_VIEW).sum(axis=-1) != views[0].buffers["observation_count"][..., 0]).any()
 

@@ -2,6 +2,6 @@
 """Report of a dataset's content as a page that opens from disk: ``datagen report``.
 
 ``figures`` computes histograms, ``gather`` processes shards, ``tiles`` writes pixels for the viewer,
-``sources`` determines the views from which a pixel's statistics were computed, ``summary`` combines the
-results, ``writing`` writes the folder, and ``page/`` contains the page: plain HTML, CSS and JavaScript.
+``summary`` combines the results, ``writing`` writes the folder, and ``page/`` contains the page: plain HTML,
+CSS and JavaScript.
 """

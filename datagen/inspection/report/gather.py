@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,16 +21,17 @@ from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomica
 from datagen.formats.configuration import Configuration, PlacedAsset
 from datagen.formats.lights import Light
 from datagen.formats.shard import ShardReader, ShardRecord, View
-from datagen.formats.view import ViewRecord
+from datagen.formats.view import StatisticsRecord, ViewRecord
 from datagen.foundation.buffers import MATERIAL_MAPS, surface_pixels
 from datagen.foundation.color import clipped_share, luminance, photographic_exposure
 from datagen.foundation.errors import input_error
 from datagen.foundation.images import shown_bytes
 from datagen.inspection.contact_sheet import COLUMNS
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, count_metal_and_gloss, count_view
-from datagen.inspection.report.sources import options_of, source_views
 from datagen.inspection.report.tiles import write_tile
-from datagen.multiview.statistics import StatisticsView
+from datagen.multiview.statistics import StatisticsOptions, StatisticsView, choose_for_pixels
+from datagen.multiview.visibility import PackedViews, VisibilityOptions
+from mitsuba_plugins.variant import select_variant
 
 REVISION = 4
 """Part of the key of stored results, to be increased when the format of results or tiles changes."""
@@ -38,6 +40,8 @@ SHOWN_BUFFERS = tuple(name for name, _ in COLUMNS)
 _NEEDED = ("beauty", *MATERIAL_MAPS, "normal_world", "depth_z_m", "surface_mask")
 _LOOKED_UP = ("surface_mask", "instance_id", "material_id")
 _THUMBNAIL_WIDTH_PX = 320
+NO_VIEW = 65535
+"""Value of the unused entries at the end of a pixel's list of view indices."""
 
 
 @dataclass(frozen=True)
@@ -206,6 +210,34 @@ def _write_tiles(folder: Path, view: View) -> int:
         for name in (*SHOWN_BUFFERS, *_LOOKED_UP)
         if name in view.buffers
     )
+
+
+def options_of(record: StatisticsRecord) -> StatisticsOptions:
+    """Options of recorded statistics, but always with depth-buffer visibility, since no mesh is loaded."""
+    visibility = VisibilityOptions(mode="depth")
+    return StatisticsOptions(record.best_views, record.include_self, visibility=visibility)
+
+
+def source_views(views: Sequence[StatisticsView], options: StatisticsOptions) -> Iterator[NDArray[np.uint16]]:
+    """Yield for each view the indices (H, W, k) of the views that each pixel's statistics use.
+
+    The best view comes first; :data:`NO_VIEW` fills the rest. Raises :class:`InputError` if LLVM is missing.
+    """
+    select_variant()
+    import drjit as dr
+    import mitsuba as mi
+
+    packed = PackedViews([view.camera for view in views], [view.depth_z_m for view in views])
+    for index, view in enumerate(views):
+        _, _, selection = choose_for_pixels(view, index, packed, options)
+        count = selection.num_chosen
+        rows = [
+            dr.select(mi.UInt32(j) < count, selection.views[mi.UInt32(j)], mi.UInt32(NO_VIEW))
+            for j in range(options.best_views)
+        ]
+        dr.eval(rows)
+        shape = (view.camera.height_px, view.camera.width_px, options.best_views)
+        yield np.stack([row.numpy() for row in rows], axis=-1).astype(np.uint16).reshape(shape)
 
 
 def _geometry(view: View) -> Any:

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import base64
 import json
-import re
 import zlib
 from functools import cache
 from importlib.resources import files
@@ -22,13 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.base import write_bytes_atomically
-from datagen.foundation.errors import input_error
 
 _WORDS = {"float16": "half", "float32": "float", "uint32": "uint", "uint16": "ushort"}
-_TYPES = {word: name for name, word in _WORDS.items()}
 _LEVEL = 4  # level 9 takes ten times as long for 3 % less
-_BYTES = re.compile(r'<script id="bytes" type="text/plain">([A-Za-z0-9+/=]*)</script>')
-_HEAD = re.compile(r"^\}\)\((\{.*\})\);$", re.MULTILINE)
 
 
 def encode_tile(array: NDArray) -> bytes:
@@ -39,16 +34,6 @@ def encode_tile(array: NDArray) -> bytes:
     differences[:, :, 1:] -= planes[:, :, :-1]  # unsigned: sums invert differences that wrap
     by_byte = differences.reshape(-1, 1).view(np.uint8).T
     return zlib.compress(np.ascontiguousarray(by_byte).tobytes(), _LEVEL)
-
-
-def decode_tile(data: bytes, dtype: str, width: int, height: int, channels: int) -> NDArray:
-    """Invert :func:`encode_tile`, as the viewer does; ``dtype`` is half, float, uint or ushort."""
-    name = np.dtype(_TYPES[dtype])
-    by_byte = np.frombuffer(zlib.decompress(data), np.uint8).reshape(name.itemsize, -1)
-    word = np.dtype(f"<u{name.itemsize}")
-    differences = np.ascontiguousarray(by_byte.T).view(word).reshape(channels, height, width)
-    planes = np.cumsum(differences, axis=2, dtype=word).view(name.newbyteorder("<"))
-    return np.moveaxis(planes, 0, -1).astype(name)
 
 
 @cache
@@ -67,14 +52,3 @@ def write_tile(path: Path, key: str, array: NDArray) -> int:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes_atomically(path, content)
     return len(content)
-
-
-def read_tile(path: Path) -> NDArray:
-    """Read the array (H, W, C) of a tile's file. Raises :class:`InputError` for other files."""
-    page = path.read_text(encoding="utf-8")
-    packed, head_text = _BYTES.search(page), _HEAD.search(page)
-    if packed is None or head_text is None:
-        raise input_error(path, "", "not a tile", "a page with bytes and head", "write the report again")
-    head = json.loads(head_text[1])
-    fields = (head[name] for name in ("dtype", "width", "height", "channels"))
-    return decode_tile(base64.b64decode(packed[1]), *fields)

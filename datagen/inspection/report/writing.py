@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Verifies a dataset, measures its shards, and writes the report's folder with this content.
+"""Runs ``datagen report``: verifies a dataset, measures its shards, and writes a folder with this content.
 
 index.html report.css *.js    the page
 data/summary.js data/views.js measured values, and one line per view
@@ -18,6 +18,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from importlib.resources import files
@@ -26,13 +27,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import quote
 
-from datagen.farm.folder import DatasetFolder
+from datagen.farm.folder import DatasetFolder, library_of, rooms_of
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.shard import INDEX_FILE, Dataset, DatasetIndex
 from datagen.foundation.buffers import BUFFERS, MIN_COVERAGE
 from datagen.foundation.color import LUMINANCE_WEIGHTS, cividis
 from datagen.foundation.errors import InputError, input_error
-from datagen.foundation.progress import Progress
+from datagen.foundation.progress import Bars, Progress
 from datagen.inspection.contact_sheet import COLUMNS
 from datagen.inspection.report import summary
 from datagen.inspection.report.gather import SHOWN_BUFFERS, GatherJob, gather_shard
@@ -300,3 +301,54 @@ def _write_page(out: Path) -> None:
     page = files("datagen.inspection.report") / "page"
     for name in PAGE_FILES:
         write_bytes_atomically(out / name, (page / name).read_bytes())
+
+
+def parse_pixels(text: str) -> int | None:
+    """Parse ``--pixels``: a number of views, or None for "all". Raises :class:`InputError` otherwise."""
+    if text == "all":
+        return None
+    if not text.isdecimal():
+        raise input_error("--pixels", "", repr(text), 'a number of views, or "all"', "correct it")
+    return int(text)
+
+
+def report_command(
+    folder: Path,
+    out: Path | None,
+    options: ReportOptions,
+    library_paths: Iterable[Path] | None = None,
+    is_dry_run: bool = False,
+) -> int:
+    """Print the planned output and, unless ``is_dry_run``, write the report; returns the exit code.
+
+    Raises :class:`InputError` if the disk has too little space, or for the reasons of :func:`write_report`.
+    """
+    index = Dataset(folder).index
+    target = out if out is not None else folder / "report"
+    first = predicted_configurations(index, options.predictions)
+    chosen = choose_configurations(index, options.max_pixel_views, first)
+    num_bytes = estimate_tile_bytes(index, chosen)
+    num_views = sum(shard.num_views for shard in index.shards if shard.configuration in chosen)
+    print(
+        f"{target}: {index.num_views} views; pixels of {num_views} views in {len(chosen)} configurations, "
+        f"about {num_bytes / 1e6:,.0f} MB",
+        flush=True,
+    )
+    if is_dry_run:
+        return 0
+    existing = next(p for p in (target.absolute(), *target.absolute().parents) if p.exists())
+    free = shutil.disk_usage(existing).free
+    if num_bytes > free:
+        remedy = "write fewer pixels with --pixels, or choose another --out"
+        got, expected = f"{num_bytes / 1e6:,.0f} MB", f"at most {free / 1e6:,.0f} MB"
+        raise input_error(target, "--pixels", got, expected, remedy)
+    paths = [*library_paths, *rooms_of(folder)] if library_paths is not None else library_of(folder)
+    with Bars("shards") as bars, Library(paths) if paths else nullcontext() as library:
+        result = write_report(folder, target, options, library, bars.tell)
+    faults = "not verified" if result.num_faults is None else f"{result.num_faults} findings"
+    print(f"{result.num_views} views, {faults}, {result.tile_bytes / 1e6:,.0f} MB of pixels")
+    for label, (num_views, num_problems) in result.predicted.items():
+        what = f"{num_views} of {result.num_views} views predicted"
+        print(f"{label}: {what}, {num_problems} with problems" if num_problems else f"{label}: {what}")
+    print(f"open {result.page.absolute().as_uri()}")
+    return 0
