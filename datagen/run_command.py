@@ -15,6 +15,7 @@ from datagen.foundation.bundled import bundled_names, resolve_bundled
 from datagen.foundation.command_line import with_options
 from datagen.foundation.errors import input_error
 from datagen.foundation.progress import Bars
+from datagen.inspection.commands import WorkersOption, write_sheets
 
 if TYPE_CHECKING:
     from datagen.farm.local import Event, RunSummary
@@ -28,7 +29,6 @@ LibraryOption = Annotated[
     list[str] | None,
     typer.Option("--library", help='Library folder, repeatable; "bundled" is that of the project.'),
 ]
-WorkersOption = Annotated[int, typer.Option("--workers", min=1, help="Processes to use.")]
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check the input, print the plan, stop.")]
 
 
@@ -217,8 +217,6 @@ def _write_index(out: Path, deep: bool, has_sheets: bool) -> None:
     with Bars("units") as bars:
         index = collect(out, deep, removed, partial(bars.tell, "index"))
     if has_sheets:
-        from datagen.inspection.commands import write_sheets
-
         write_sheets(out)
     typer.echo(
         f"{out}: {index.num_configurations} shards, {index.num_views} views, "

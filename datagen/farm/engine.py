@@ -43,12 +43,15 @@ class Engine(Protocol):
 
     def collect(self, root: Path, options: SlurmOptions) -> Script | None:
         """Script that indexes, verifies and reports after all units; None if the engine has none."""
+        return None
 
     def send(self, script: Path, after: Sequence[str]) -> str:
         """Submit a script that starts when the jobs with ids ``after`` have ended; return its job id."""
+        raise NotImplementedError(self.program)
 
     def jobs(self, root: Path) -> list[str]:
         """Ids of the pending and running jobs of the dataset folder ``root``."""
+        return []
 
     def stop(self, root: Path, ids: Sequence[str]) -> None:
         """Cancel the jobs ``ids`` of the dataset folder ``root``."""

@@ -12,7 +12,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from datagen.farm.engine import Script, ask, collect_commands, job_name, with_setup
+from datagen.farm.engine import Engine, Script, ask, collect_commands, job_name, with_setup
 from datagen.farm.job_options import SlurmOptions, can_be_directive, check_folder, split_option
 from datagen.farm.status import array_spec
 from datagen.farm.worker import EXIT_INTERRUPTED
@@ -149,7 +149,7 @@ class SlurmEngine:
         ask(root, "cancelled jobs", "scancel", f"--name={job_name(root)}")
 
 
-class ShellEngine:
+class ShellEngine(Engine):
     """Engine that writes a command per line, for other queues (GNU parallel, SGE), and submits nothing."""
 
     program = ""
@@ -161,15 +161,3 @@ class ShellEngine:
         folder = shlex.quote(str(root.resolve()))
         lines = [f"datagen run {folder} --unit {index} --attempts {options.attempts}" for index in indices]
         return [Script("units.sh", "\n".join(lines) + "\n")]
-
-    def collect(self, root: Path, options: SlurmOptions) -> Script | None:
-        return None
-
-    def send(self, script: Path, after: Sequence[str]) -> str:
-        raise input_error(script, got="a list of commands", expected="a queue that accepts it")
-
-    def jobs(self, root: Path) -> list[str]:
-        return []
-
-    def stop(self, root: Path, ids: Sequence[str]) -> None:
-        """Do nothing, since there are no jobs."""

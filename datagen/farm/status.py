@@ -75,10 +75,8 @@ def read_status(root: Path) -> FarmStatus:
     for unit in plan.units:
         manifest = None
         if f"{unit.key}.json" in markers:
-            try:
+            with suppress(InputError):  # damaged, so the unit is run again
                 manifest = folder.read_manifest(unit)
-            except InputError:
-                manifest = None  # damaged, so the unit is run again
         if manifest is None or manifest.shard not in shards:
             undone.append(unit)
             continue
@@ -131,10 +129,8 @@ def _failures(folder: DatasetFolder, undone: list[PlannedUnit]) -> list[FailureR
     records = []
     for unit in undone:
         if f"{unit.id}.json" in names:
-            try:
+            with suppress(InputError):  # may be incomplete
                 records.append(folder.read_failure(unit.id))
-            except InputError:
-                continue  # may be incomplete
     return records
 
 

@@ -13,6 +13,7 @@ import socket
 import time
 import uuid
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -77,19 +78,9 @@ class UnitRun:
 
     def __post_init__(self) -> None:
         self.work = self.folder.work_path(self.unit)
-
-    @property
-    def rendered_path(self) -> Path:
-        return self.work / "rendered"
-
-    @property
-    def complete_path(self) -> Path:
-        return self.work / "complete"
-
-    @property
-    def heartbeat_path(self) -> Path:
-        """File that a running attempt touches, and by which :mod:`datagen.farm.status` recognises it."""
-        return self.work / "running"
+        self.rendered_path, self.complete_path = self.work / "rendered", self.work / "complete"
+        # touched by a running attempt, by which datagen.farm.status recognises it
+        self.heartbeat_path = self.work / "running"
 
     def progress(self, stage: str, done: int, total: int) -> None:
         """Report progress and touch the heartbeat."""
@@ -105,12 +96,10 @@ class UnitRun:
 
     def read_record(self, folder: Path, view: str) -> ViewRecord | None:
         """Read the record of a finished view; None if it is missing or does not match its EXR file."""
-        try:
+        with suppress(InputError, OSError):  # a view that is unfinished or damaged is rendered again
             record = read_json(ViewRecord, folder / f"{view}.json")
             if sha256_file(folder / f"{view}.exr") == record.exr_sha256:
                 return record
-        except (InputError, OSError):
-            pass  # a view that is unfinished or damaged is rendered again
         return None
 
     def publish(
@@ -340,10 +329,9 @@ def commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
     try:
         publish_first(partial, path)
     except FileExistsError:
-        try:
+        other = None
+        with suppress(InputError):
             other = run.folder.read_manifest(run.unit)
-        except InputError:
-            other = None
         is_wrong = other is not None and other.shard == manifest.shard and other.sha256 != manifest.sha256
         if other is None or is_wrong or not run.folder.is_done(run.unit):  # it is damaged or lacks its shard
             publish(partial, path)

@@ -127,17 +127,6 @@ class _WorkerContext:
         self.recipe = folder.read_recipe()
         self.library = Library(folder.library_paths())
         self.threads = threads
-        self.is_ready = False
-
-    def prepare(self) -> None:
-        """Select the variant and the number of threads before the first unit."""
-        if self.is_ready:
-            return
-        select_variant(self.plan.variant)
-        import drjit as dr
-
-        dr.set_thread_count(self.threads)
-        self.is_ready = True
 
 
 def _run_one(
@@ -151,7 +140,10 @@ def _run_one(
     from datagen.farm.work_unit import Interrupted, UnitRun, run_unit
 
     try:
-        context.prepare()
+        select_variant(context.plan.variant)
+        import drjit as dr
+
+        dr.set_thread_count(context.threads)
         run = UnitRun(
             folder=context.folder,
             unit=context.plan.units[index],

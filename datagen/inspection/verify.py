@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from datagen.farm.collect import find_leftovers
 from datagen.farm.folder import library_of, rooms_of
-from datagen.farm.leftovers import find_leftovers
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Texture
 from datagen.formats.base import read_json
 from datagen.formats.configuration import Configuration

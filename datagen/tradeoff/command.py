@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -18,37 +18,24 @@ from datagen.tradeoff.sweep import Sweep, SweepOptions
 from datagen.tradeoff.writing import Results, write_results
 
 
+def _limit(name: str, what: str) -> Any:
+    return typer.Option(f"--max-{name}", min=0, callback=finite, help=what)
+
+
+_MAX_MEAN = "Maximum mean absolute error of the {} of the recommended setting."
+
+
 @dataclass(frozen=True)
 class Limits:
     """Maximum errors of the recommended setting; None for no limit."""
 
     rel_mse: Annotated[
-        float | None,
-        typer.Option(
-            "--max-rel-mse",
-            min=0,
-            callback=finite,
-            help="Recommend the cheapest setting with at most this relMSE of beauty.",
-        ),
+        float | None, _limit("rel-mse", "Recommend the cheapest setting with at most this relMSE of beauty.")
     ] = None
-    maps_error: Annotated[
-        float | None,
-        typer.Option(
-            "--max-maps-error",
-            min=0,
-            callback=finite,
-            help="Maximum mean absolute error of the ground-truth maps of the recommended setting.",
-        ),
-    ] = None
-    statistics_error: Annotated[
-        float | None,
-        typer.Option(
-            "--max-statistics-error",
-            min=0,
-            callback=finite,
-            help="Maximum mean absolute error of the statistics of the recommended setting.",
-        ),
-    ] = None
+    maps_error: Annotated[float | None, _limit("maps-error", _MAX_MEAN.format("ground-truth maps"))] = None
+    statistics_error: Annotated[float | None, _limit("statistics-error", _MAX_MEAN.format("statistics"))] = (
+        None
+    )
 
 
 @with_options

@@ -16,11 +16,10 @@ import yaml
 from typer.testing import CliRunner
 
 import datagen.farm.work_unit as work_unit
-from datagen.farm.collect import collect
+from datagen.farm.collect import collect, find_leftovers
 from datagen.farm.commands import farm
 from datagen.farm.folder import DatasetFolder
 from datagen.farm.job_options import SlurmOptions
-from datagen.farm.leftovers import find_leftovers
 from datagen.farm.local import LocalOptions, run_local
 from datagen.farm.space import check_space, needed_space
 from datagen.farm.submission import submit
