@@ -60,22 +60,11 @@ class Library:
         self.paths = tuple(Path(p) for p in paths)
         self._packages: dict[str, Package] = {}
         problems: list[Problem] = []
-        for path in _packages_of(self.paths, problems):
-            try:
-                self._add(open_package(path), problems)
-            except InputError as error:
-                problems.extend(error.problems)
+        for package in _opened(_packages_of(self.paths, problems), problems):
+            self._packages.setdefault(package.id, package)
         if problems:
             self.close()
             raise InputError(*problems)
-
-    def _add(self, package: Package, problems: list[Problem]) -> None:
-        other = self._packages.get(package.id)
-        if other is None:
-            self._packages[package.id] = package
-        elif other.path.resolve() != package.path.resolve():
-            expected = f"a unique id; {other.path} has the same"
-            problems.append(Problem(package.path, "id", repr(package.id), expected, "rename one"))
 
     def __enter__(self) -> Library:
         return self
@@ -171,6 +160,22 @@ def _packages_of(roots: Iterable[Path], problems: list[Problem]) -> list[Path]:
     return found
 
 
+def _opened(paths: Iterable[Path], problems: list[Problem]) -> Iterator[Package]:
+    """Yield the packages at ``paths``; adds unreadable packages and ids that occur twice to ``problems``."""
+    seen: dict[str, Path] = {}
+    for path in paths:
+        try:
+            package = open_package(path)
+        except InputError as error:
+            problems.extend(error.problems)
+            continue
+        first = seen.setdefault(package.id, path)
+        if first.resolve() != path.resolve():
+            expected = f"a unique id; {first} has the same"
+            problems.append(Problem(path, "id", repr(package.id), expected, "rename one"))
+        yield package
+
+
 def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
     """Classes of a material, or the main classes of the slots of an object or room; empty for a panorama."""
     if isinstance(asset, PanoramaAsset):
@@ -251,20 +256,15 @@ def check_library(paths: Iterable[str | Path], progress: Advance = no_advance) -
     """
     errors: list[Problem] = []
     warnings: list[Problem] = []
-    seen: dict[str, Path] = {}
     found = _packages_of(map(Path, paths), errors)
-    for number, path in enumerate(found):
-        progress(number, len(found))
-        try:
-            package = open_package(path)
-        except InputError as error:
-            errors.extend(error.problems)
-            continue
+
+    def counted() -> Iterator[Path]:
+        for number, path in enumerate(found):
+            progress(number, len(found))
+            yield path
+
+    for package in _opened(counted(), errors):
         with package:
-            if package.id in seen and seen[package.id].resolve() != path.resolve():
-                expected = f"a unique id; {seen[package.id]} has the same"
-                errors.append(Problem(path, "id", repr(package.id), expected, "rename one"))
-            seen.setdefault(package.id, path)
             report = check_package(package)
             errors.extend(report.errors)
             warnings.extend(report.warnings)

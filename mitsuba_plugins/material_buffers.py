@@ -276,15 +276,6 @@ def _render(view: _View, spp: int, seed: int) -> dict[str, Any]:
     return {name: values[name] for name in CHANNELS}
 
 
-def _make_view(
-    scene: mi.Scene, sensor: mi.Sensor | int, ids: IdTable | SceneMaterials | None, hide_emitters: bool
-) -> _View:
-    chosen: Any = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
-    materials = ids if isinstance(ids, SceneMaterials) else SceneMaterials(scene, ids)
-    width, height = (int(v) for v in chosen.film().crop_size())
-    return _View(scene, chosen, materials, hide_emitters, width, height)
-
-
 def render_material_buffers(
     scene: mi.Scene,
     sensor: mi.Sensor | int = 0,
@@ -301,7 +292,10 @@ def render_material_buffers(
     ``hide_emitters`` must equal that of the beauty integrator. Raises :class:`InputError` if ``spp`` is
     below 1, a shape's material has no D, S and R, or a shape is missing from ``ids``.
     """
-    view = _make_view(scene, sensor, ids, hide_emitters)
+    chosen: Any = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+    materials = ids if isinstance(ids, SceneMaterials) else SceneMaterials(scene, ids)
+    width, height = (int(v) for v in chosen.film().crop_size())
+    view = _View(scene, chosen, materials, hide_emitters, width, height)
     with dr.suspend_grad():
         buffers = _render(view, spp, seed)
         dr.eval(buffers)
@@ -309,7 +303,7 @@ def render_material_buffers(
     for name, value in buffers.items():
         array = np.array(value)
         array = array[None] if array.ndim == 1 else array
-        arrays[name] = np.ascontiguousarray(array.T).reshape(view.height, view.width, len(CHANNELS[name]))
+        arrays[name] = np.ascontiguousarray(array.T).reshape(height, width, len(CHANNELS[name]))
     return arrays
 
 

@@ -13,12 +13,11 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from datagen.farm.folder import DatasetFolder, PlannedUnit, UnitManifest
+from datagen.farm.folder import DatasetFolder, PlannedUnit
 from datagen.farm.status import RUNNING_AGE_S, age_of_attempt, file_system_now, names_in
 from datagen.formats.base import canonical_json, sha256_file, write_bytes_atomically
 from datagen.formats.configuration import Split
 from datagen.formats.shard import DatasetIndex, ShardReader, ShardRecord
-from datagen.formats.view import ViewRecord
 from datagen.foundation.durable import sync_folder
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.paths import inside
@@ -55,14 +54,19 @@ def collect(
             missing.append(unit.id)
             continue
         try:
-            inside(root, root / manifest.shard)
+            path = inside(root, root / manifest.shard)
         except InputError as error:
             problems += error.problems
             continue
-        if deep:
-            problems += _check_hash(folder, manifest)
+        if deep and (digest := sha256_file(path)) != manifest.sha256:
+            remedy = f"remove {manifest.shard} and run again"
+            problems.append(Problem(path, "sha256", digest, manifest.sha256, remedy))
         if not buffers:
-            buffers = _first_record(root / manifest.shard).buffers
+            first = next(ShardReader(path).records(), None)
+            if first is None:
+                remedy = f"remove {path.name} and run again"
+                raise input_error(path, "", "no views", "at least one view", remedy)
+            buffers = first.buffers
         splits[unit.split] = splits.get(unit.split, 0) + 1
         shards.append(
             ShardRecord(
@@ -100,20 +104,6 @@ def collect(
     for path in remove_leftovers(root):
         on_removed(path)
     return index
-
-
-def _first_record(shard: Path) -> ViewRecord:
-    for record in ShardReader(shard).records():
-        return record
-    raise input_error(shard, "", "no views", "at least one view", f"remove {shard.name} and run again")
-
-
-def _check_hash(folder: DatasetFolder, manifest: UnitManifest) -> list[Problem]:
-    got = sha256_file(folder.root / manifest.shard)
-    if got == manifest.sha256:
-        return []
-    remedy = f"remove {manifest.shard} and run again"
-    return [Problem(folder.root / manifest.shard, "sha256", got, manifest.sha256, remedy)]
 
 
 def find_leftovers(root: Path) -> list[Path]:

@@ -59,6 +59,15 @@ class Scales:
     farthest_m: float
     max_views: int
 
+    @property
+    def ends(self) -> dict[str, tuple[float, str]]:
+        """Value and label of the upper end of each colour scale, by buffer."""
+        return {
+            "roughness": (1.0, "1"),
+            "depth_z_m": (self.farthest_m, f"{self.farthest_m:.2f} m"),
+            "observation_count": (self.max_views, f"{self.max_views} views"),
+        }
+
 
 def choose_rows(num_views: int, max_rows: int = MAX_ROWS) -> list[int]:
     """Indices of at most ``max_rows`` of ``num_views`` views, evenly spaced from the first to the last."""
@@ -99,9 +108,8 @@ def screen_image(name: str, view: Mapping[str, NDArray], scales: Scales) -> NDAr
         is_valid &= view["surface_mask"][..., 0] > 0
     if name == "depth_z_m":
         is_valid &= array[..., 0] > 0
-    full_scale = {"roughness": 1.0, "depth_z_m": scales.farthest_m, "observation_count": scales.max_views}
-    if name in full_scale:
-        picture = _colored(array[..., 0] / full_scale[name])
+    if name in scales.ends:
+        picture = _colored(array[..., 0] / scales.ends[name][0])
     elif name == "normal_world":
         picture = 0.5 + 0.5 * array
     else:
@@ -146,8 +154,8 @@ def make_contact_sheet(
     sheet = Image.new("RGB", (width, height), _PAPER)
     draw = ImageDraw.Draw(sheet)
     draw.text((_MARGIN_PX, _MARGIN_PX), title, _INK, _font(_TITLE_PX))
-    for index, (_, label) in enumerate(columns):
-        x = left + index * (column_width + _MARGIN_PX)
+    places = [left + index * (column_width + _MARGIN_PX) for index in range(len(columns))]
+    for x, (_, label) in zip(places, columns, strict=True):
         draw.text((x, head - _LABEL_PX - 2 * _MARGIN_PX), label, _INK, _font(_LABEL_PX))
     y = head - _MARGIN_PX
     for view, name, note, exposure, cell_height in zip(views, names, notes, exposures, heights, strict=True):
@@ -155,15 +163,13 @@ def make_contact_sheet(
         draw.text((_MARGIN_PX, middle - _LABEL_PX), name, _INK, _font(_LABEL_PX))
         draw.text((_MARGIN_PX, middle + 4), note, _FAINT, _font(_LABEL_PX))
         shown = replace(scales, exposure=exposure)
-        for index, (buffer, _) in enumerate(columns):
-            x = left + index * (column_width + _MARGIN_PX)
+        for x, (buffer, _) in zip(places, columns, strict=True):
             if buffer in view:
                 sheet.paste(_cell(screen_image(buffer, view, shown)), (x, y))
             else:
                 draw.text((x, y), "not in this view", _FAINT, _font(_LABEL_PX))
         y += cell_height + _MARGIN_PX
-    for index, (buffer, _) in enumerate(columns):
-        x = left + index * (column_width + _MARGIN_PX)
+    for x, (buffer, _) in zip(places, columns, strict=True):
         _draw_foot(sheet, draw, (x, y, column_width), buffer, scales)
     return sheet
 
@@ -194,19 +200,14 @@ def _draw_foot(
 
     x, y, width = place
     font = _font(_LABEL_PX)
-    ends = {
-        "roughness": ("0", "1"),
-        "depth_z_m": ("0", f"{scales.farthest_m:.2f} m"),
-        "observation_count": ("0", f"{scales.max_views} views"),
-    }
-    if name not in ends:
+    if name not in scales.ends:
         texts = {"diffuse_albedo": "sRGB", "specular_albedo": "F0, sRGB", "normal_world": "x y z as R G B"}
         draw.text((x, y), texts.get(name, "exposed by view, sRGB"), _FAINT, font)
         return
     ramp = _colored(np.tile(np.linspace(0, 1, width), (_LABEL_PX, 1)))
     sheet.paste(Image.fromarray(quantized_bytes(ramp)), (x, y))
-    low, high = ends[name]
-    draw.text((x, y + _LABEL_PX + 3), low, _FAINT, font)
+    high = scales.ends[name][1]
+    draw.text((x, y + _LABEL_PX + 3), "0", _FAINT, font)
     draw.text((x + width - _label_width(high), y + _LABEL_PX + 3), high, _FAINT, font)
 
 

@@ -61,6 +61,14 @@ class Report:
     def num_errors(self) -> int:
         return sum(fault.severity == "error" for fault in self.faults)
 
+    def counts(self) -> list[tuple[str, str, int, int, int]]:
+        """Each check with its assertion and numbers of applications, errors and warnings, in order."""
+        found = Counter((fault.check, fault.severity) for fault in self.faults)
+        return [
+            (check, asserts, self.applied[check], found[check, "error"], found[check, "warning"])
+            for check, asserts in CHECKS.items()
+        ]
+
     def exit_code(self, strict: bool = False) -> int:
         """The exit code: 1 if there are errors (or, with ``strict``, warnings), else 0."""
         return int(bool(self.faults) if strict else self.num_errors > 0)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, replace
 from functools import partial
 from multiprocessing import get_context
@@ -29,7 +29,7 @@ from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.images import read_image
 from datagen.foundation.paths import inside
 from datagen.foundation.progress import Advance, Bars, no_advance
-from datagen.inspection.findings import CHECKS, Fault, Report, Severity
+from datagen.inspection.findings import Fault, Report, Severity
 from datagen.inspection.recheck import Rechecked, check_recheck, print_rechecked
 from datagen.inspection.recheck import recheck as recheck_views
 from datagen.inspection.shard_check import ShardJob, verify_shard
@@ -94,7 +94,9 @@ def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
         names = ", ".join(index.missing[:5]) + (" ..." if len(index.missing) > 5 else "")
         add(f"{len(index.missing)} configurations are missing: {names}", "a complete dataset", "warning")
     listed = {folder / record.file for record in index.shards}
-    leftovers = _leftovers(folder)
+    leftovers: list[Path] = []
+    with suppress(InputError):  # a folder without a plan, such as a copy of the shards
+        leftovers = find_leftovers(folder)
     for stray in sorted({*on_disk, *leftovers} - listed):
         got = f"{stray.relative_to(folder)} is not listed"
         if stray in leftovers:
@@ -121,14 +123,6 @@ def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
             continue
         jobs.append(ShardJob(folder / record.file, record.file, record, index.buffers))
     return jobs
-
-
-def _leftovers(folder: Path) -> set[Path]:
-    """Files left by killed attempts; none in a folder without a plan, such as a copy of the shards."""
-    try:
-        return set(find_leftovers(folder))
-    except InputError:
-        return set()
 
 
 def _check_split(index: DatasetIndex, where: str) -> list[Fault]:
@@ -233,13 +227,10 @@ def print_report(report: Report) -> None:
 
     console = table_console()
     table = Table("check", "asserts", "checked", "errors", "warnings", title=report.path)
-    for check, asserts in CHECKS.items():
-        mine = [fault for fault in report.faults if fault.check == check]
-        errors = sum(fault.severity == "error" for fault in mine)
-        warnings = len(mine) - errors
+    for check, asserts, applied, errors, warnings in report.counts():
         style = "red" if errors else "yellow" if warnings else None
-        applied = str(report.applied[check]) if report.applied[check] else "-"
-        table.add_row(check, asserts, applied, str(errors or ""), str(warnings or ""), style=style)
+        numbers = str(applied or "-"), str(errors or ""), str(warnings or "")
+        table.add_row(check, asserts, *numbers, style=style)
     console.print(table)
     for fault in report.faults[:_MAX_LISTED]:
         console.print(str(fault), style="red" if fault.severity == "error" else "yellow")

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.configuration import Configuration, ViewCamera
+from datagen.formats.configuration import Configuration
 from datagen.foundation.buffers import BUFFERS, MATERIAL_MAPS
 from datagen.foundation.exr import decode_view, encode_channels, encode_view, to_storage
 from datagen.library import Library
@@ -35,7 +35,7 @@ from datagen.rendering.geometry import MeshCache
 from datagen.rendering.renderer import SceneRenderer
 from datagen.rendering.scene_builder import AssetCaches
 from datagen.rendering.textures import TextureCache
-from datagen.tradeoff.reference import STATISTICS, Reference
+from datagen.tradeoff.reference import STATISTICS, Reference, sized
 from datagen.tradeoff.settings import Setting
 
 ERROR_MAPS = (*MATERIAL_MAPS, "normal_world")
@@ -90,7 +90,11 @@ class Trial:
 
 def measure(configuration: Configuration, library: Library, reference: Reference, setting: Setting) -> Trial:
     """Render, process and store every view with ``setting``, and compare it with the reference."""
-    at_size = _scaled(configuration, setting.image_scale)
+    at_size = configuration
+    if setting.image_scale != 1.0:
+        width, height = configuration.cameras[0].width_px, configuration.cameras[0].height_px
+        size = round(width * setting.image_scale), round(height * setting.image_scale)
+        at_size = sized(configuration, size, reference.num_views)
     caches = AssetCaches(MeshCache(), TextureCache(shrink=setting.texture_shrink))
     start = time.process_time()
     renderer = SceneRenderer(at_size, library, setting.recipe(), caches, _denoiser(setting))
@@ -139,16 +143,6 @@ def measure(configuration: Configuration, library: Library, reference: Reference
         build_cpu_s=build_cpu_s,
         num_views=len(rendered),
     )
-
-
-def _scaled(configuration: Configuration, share: float) -> Configuration:
-    if share == 1.0:
-        return configuration
-    cameras = []
-    for view in configuration.cameras:
-        scaled = view.camera().scaled(round(view.width_px * share), round(view.height_px * share))
-        cameras.append(ViewCamera.from_camera(view.name, scaled))
-    return configuration.model_copy(update={"cameras": tuple(cameras)})
 
 
 def _denoiser(setting: Setting) -> OidnDenoiser | None:

@@ -29,14 +29,9 @@ _PLY_REMEDY = "export the mesh as binary little-endian PLY with triangles"
 
 def encode_ply(mesh: Mesh) -> bytes:
     """Encode a mesh as binary little-endian PLY: float x y z [nx ny nz] [u v], faces of int indices."""
-    names = ["x", "y", "z"]
-    columns = [mesh.positions]
-    if mesh.normals is not None:
-        names += ["nx", "ny", "nz"]
-        columns.append(mesh.normals)
-    if mesh.uv is not None:
-        names += ["u", "v"]
-        columns.append(mesh.uv)
+    tables = (("x y z", mesh.positions), ("nx ny nz", mesh.normals), ("u v", mesh.uv))
+    columns = [array for _, array in tables if array is not None]
+    names = [name for text, array in tables if array is not None for name in text.split()]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(mesh.positions)}"]
     header += [f"property float {name}" for name in names]
     header += [f"element face {len(mesh.faces)}", "property list uchar int vertex_indices", "end_header", ""]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
-from datagen.formats.configuration import Configuration, PlacedAsset
+from datagen.formats.configuration import Configuration
 from datagen.formats.lights import Light
 from datagen.formats.shard import ShardReader, ShardRecord, View
 from datagen.formats.view import StatisticsRecord, ViewRecord
@@ -88,7 +89,7 @@ def gather_shard(job: GatherJob) -> dict[str, Any]:
     configuration = reader.configuration()
     counts = {name: np.zeros(len(axis.edges) - 1, np.int64) for name, axis in PIXEL_AXES.items()}
     coverage = np.zeros((NUM_COVERAGE_BINS, NUM_COVERAGE_BINS), np.int64)
-    materials: dict[str, int] = {}
+    materials: Counter[str] = Counter()
     views, records, geometry = [], [], []
     tile_bytes = 0
     for view in reader:
@@ -100,8 +101,7 @@ def gather_shard(job: GatherJob) -> dict[str, Any]:
         for name, found in histograms.items():
             counts[name] += found
         coverage += cells
-        for name, pixels in _pixels_by_name(view, "material_id", record.materials).items():
-            materials[name] = materials.get(name, 0) + pixels
+        materials += _pixels_by_material(view)
         views.append(_view_figures(view))
         records.append(record)
         _write_thumbnail(job.out / "thumbnails" / identity / f"{record.name}.jpg", view)
@@ -122,18 +122,16 @@ def gather_shard(job: GatherJob) -> dict[str, Any]:
         "coverage": coverage.tolist(),
         "materials": materials,
         "views": views,
-        "placed": [_placed(p) for p in (configuration.environment, *configuration.objects)],
+        "placed": [
+            {"asset": p.asset, "materials": sorted({m.asset for m in p.materials.values() if m.asset})}
+            for p in (configuration.environment, *configuration.objects)
+        ],
         "lights": [light_intensity(light) for light in configuration.lights],
         "rejections": configuration.rejections,
     }
     job.kept_path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes_atomically(job.kept_path, canonical_json(result))
     return result
-
-
-def _placed(placed: PlacedAsset) -> dict[str, Any]:
-    assigned = sorted({m.asset for m in placed.materials.values() if m.asset is not None})
-    return {"asset": placed.asset, "materials": assigned}
 
 
 def light_intensity(light: Light) -> dict[str, Any]:
@@ -148,15 +146,13 @@ def light_intensity(light: Light) -> dict[str, Any]:
     return {"type": light.type, "unit": units[field], "value": value}
 
 
-def _pixels_by_name(view: View, buffer: str, names: dict[str, str]) -> dict[str, int]:
-    if buffer not in view.buffers:
-        return {}
-    ids, pixels = np.unique(view.buffers[buffer][surface_pixels(view.buffers)], return_counts=True)
-    found: dict[str, int] = {}
-    for identity, count in zip(ids.tolist(), pixels.tolist(), strict=True):
-        name = names.get(str(identity))
-        if name is not None:
-            found[name] = found.get(name, 0) + count
+def _pixels_by_material(view: View) -> Counter[str]:
+    found: Counter[str] = Counter()
+    if "material_id" in view.buffers:
+        ids, pixels = np.unique(view.buffers["material_id"][surface_pixels(view.buffers)], return_counts=True)
+        for identity, count in zip(ids.tolist(), pixels.tolist(), strict=True):
+            if (name := view.record.materials.get(str(identity))) is not None:
+                found[name] += count
     return found
 
 

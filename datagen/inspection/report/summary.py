@@ -15,7 +15,7 @@ from datagen.farm.status import runs
 from datagen.formats.asset import MATERIAL_CLASSES, EnvironmentAsset, ObjectAsset
 from datagen.formats.shard import DatasetIndex
 from datagen.foundation.errors import InputError
-from datagen.inspection.findings import CHECKS, Report
+from datagen.inspection.findings import Report
 from datagen.inspection.plan_summary import lack_for_training
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, Axis, nice_axis
 from datagen.library import Library, asset_classes
@@ -124,10 +124,9 @@ def assets(
         pixels.update(shard["materials"])
     total = max(sum(pixels.values()), 1)
     of_asset: Counter[str] = Counter()
-    for name, count in pixels.items():
-        of_asset[_without_variant(name).partition("/")[0]] += count
     by_class: Counter[str] = Counter()
     for name, count in pixels.items():
+        of_asset[_without_variant(name).partition("/")[0]] += count
         by_class[_class_of(name, library)] += count
     rows = []
     for identity in sorted(placed.keys() | index.assets.keys()):
@@ -270,23 +269,8 @@ def findings(
         for (configuration, view), faults in grouped.items()
     ]
     views.sort(key=lambda v: (-v["errors"], -v["warnings"], v["configuration"], v["view"]))
-    checks = [
-        [
-            check,
-            asserts,
-            report.applied[check],
-            sum(f.check == check and f.severity == "error" for f in report.faults),
-            sum(f.check == check and f.severity == "warning" for f in report.faults),
-        ]
-        for check, asserts in CHECKS.items()
-    ]
-    return {
-        "is_checked": True,
-        "checks": checks,
-        "views": views,
-        "notes": report.notes,
-        "stand_out": stand_out,
-    }
+    found = {"checks": report.counts(), "views": views, "notes": report.notes}
+    return {"is_checked": True, **found, "stand_out": stand_out}
 
 
 def place_of(where: str, files: dict[str, str], names: dict[str, set[str]]) -> tuple[str, str]:

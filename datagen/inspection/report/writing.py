@@ -168,7 +168,9 @@ def write_report(
     _write_script(out / "data" / "summary.js", "summary", data)
     _write_script(out / "data" / "views.js", "views", view_table(gathered))
     _write_script(out / "data" / "predictions.js", "predictions", predictions)
-    _write_page(out)
+    page = files("datagen.inspection.report") / "page"
+    for name in PAGE_FILES:
+        write_bytes_atomically(out / name, (page / name).read_bytes())
     return ReportResult(
         page=out / "index.html",
         num_views=sum(len(shard["views"]) for shard in gathered),
@@ -295,12 +297,6 @@ def _write_script(path: Path, name: str, data: dict[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps(data, separators=(",", ":"), sort_keys=True, allow_nan=False)
     write_bytes_atomically(path, f"REPORT.{name} = {text};\n".encode())
-
-
-def _write_page(out: Path) -> None:
-    page = files("datagen.inspection.report") / "page"
-    for name in PAGE_FILES:
-        write_bytes_atomically(out / name, (page / name).read_bytes())
 
 
 def parse_pixels(text: str) -> int | None:
