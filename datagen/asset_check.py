@@ -37,10 +37,11 @@ _REEXPORT = "re-export the asset"
 
 @dataclass(frozen=True)
 class CheckReport:
-    """Errors and warnings that :func:`check_package` found in a package."""
+    """Errors and warnings that :func:`check_package` found in a number of packages."""
 
     errors: tuple[Problem, ...]
     warnings: tuple[Problem, ...]
+    num_packages: int = 1
 
     @property
     def is_usable(self) -> bool:

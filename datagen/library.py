@@ -15,7 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-from datagen.asset_check import check_package
+from datagen.asset_check import CheckReport, check_package
 from datagen.formats.asset import EnvironmentAsset, MaterialAsset, ObjectAsset, PanoramaAsset
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.package import AnyAsset, Package, is_package, open_package
@@ -239,16 +239,7 @@ def describe_library(paths: Iterable[str | Path], *, with_hash: bool = False) ->
         )
 
 
-@dataclass(frozen=True)
-class LibraryCheck:
-    """Result of :func:`check_library`: number of packages, and all their errors and warnings."""
-
-    num_packages: int
-    errors: tuple[Problem, ...]
-    warnings: tuple[Problem, ...]
-
-
-def check_library(paths: Iterable[str | Path], progress: Advance = no_advance) -> LibraryCheck:
+def check_library(paths: Iterable[str | Path], progress: Advance = no_advance) -> CheckReport:
     """Read every mesh and texture of all packages and report all faults.
 
     Unlike :class:`Library`, this continues after packages that cannot be opened. ``progress(done, total)``
@@ -269,4 +260,4 @@ def check_library(paths: Iterable[str | Path], progress: Advance = no_advance) -
             errors.extend(report.errors)
             warnings.extend(report.warnings)
     progress(len(found), len(found))
-    return LibraryCheck(len(found), tuple(errors), tuple(warnings))
+    return CheckReport(tuple(errors), tuple(warnings), len(found))

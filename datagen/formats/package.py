@@ -33,8 +33,8 @@ from datagen.formats.asset import (
 )
 from datagen.formats.base import MAX_TEXT_BYTES, canonical_json, parse_model, sha256_file, sha256_hex
 from datagen.formats.lights import EnvironmentLight
-from datagen.foundation.archives import ZIP_ERRORS, check_archive
 from datagen.foundation.budget import Budget
+from datagen.foundation.documents import ZIP_ERRORS, check_archive
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.images import IMAGE_SUFFIXES

@@ -16,8 +16,8 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.foundation.archives import ZIP_ERRORS, check_archive
 from datagen.foundation.budget import Budget
+from datagen.foundation.documents import ZIP_ERRORS, check_archive
 from datagen.foundation.errors import InputError, Problems, input_error, raise_problems
 
 CATALOGUE_FILE = "PluginFurnitureCatalog.properties"

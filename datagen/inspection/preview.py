@@ -12,7 +12,9 @@ import html
 import io
 import time
 from contextlib import suppress
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 
 import numpy as np
 
@@ -25,19 +27,6 @@ from datagen.foundation.progress import duration
 
 PREVIEW_FILE = "preview.html"
 _SECONDS, _SHOWN, _WIDTH_PX = 3.0, 24, 480
-_STYLE = """
-:root { color-scheme: light dark; --ink: #1c1d20; --paper: #fff; --soft: #f0f1f4; --bad: #8c2f00; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e8e9eb; --paper: #1b1c1f; --soft: #2b2d31; --bad: #ff9d66; }
-}
-body { margin: 0 auto; max-width: 1500px; padding: 12px; font: 16px/1.4 system-ui, sans-serif;
-  color: var(--ink); background: var(--paper); }
-progress { width: 100%; height: 14px; } .bad { color: var(--bad); }
-ul { list-style: none; margin: 12px 0; padding: 0; display: grid; gap: 10px;
-  grid-template-columns: repeat(auto-fill, minmax(min(100%, 280px), 1fr)); }
-img { width: 100%; display: block; background: var(--soft); border-radius: 4px; }
-small { overflow-wrap: anywhere; }
-"""
 
 
 class Preview:
@@ -106,13 +95,9 @@ class Preview:
         )
         title = html.escape(self.root.resolve().name)
         again = "" if is_over else '<meta http-equiv="refresh" content="5">'
-        return (
-            f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">{again}'
-            f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{title}</title>'
-            f"<style>{_STYLE}</style></head><body><h1>{title}</h1>"
-            f'<progress max="{self.total}" value="{done}"></progress>'
-            f"<p>{', '.join(fact for fact in facts if fact)}</p>{state}<ul>{cards}</ul></body></html>\n"
-        )
+        template = (files("datagen.inspection.report") / "page" / "preview.html").read_text(encoding="utf-8")
+        counts = {"total": self.total, "done": done, "facts": ", ".join(fact for fact in facts if fact)}
+        return Template(template).substitute(counts, title=title, again=again, state=state, cards=cards)
 
 
 def _picture(beauty: np.ndarray, exposure: float) -> str:
