@@ -11,10 +11,13 @@ import shlex
 import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 from typing import Protocol
 
 from datagen.farm.job_options import SlurmOptions
+from datagen.farm.worker import EXIT_INTERRUPTED
 from datagen.formats.base import sha256_hex
 from datagen.foundation.errors import input_error
 
@@ -68,15 +71,17 @@ def with_setup(options: SlurmOptions, root: Path) -> str:
     return f"set -u\n{setup}folder={shlex.quote(str(root.resolve()))}"
 
 
-def collect_commands(options: SlurmOptions) -> str:
-    """Shell commands that index, verify and report; their exit code is that of the last failure."""
-    return f"""code=0
-datagen farm status "$folder" || code=$?
-datagen run "$folder" --only index --deep || code=$?
-datagen verify "$folder" --workers {options.collect_cpus} || code=$?
-datagen report "$folder" --workers {options.collect_cpus} || code=$?
-exit "$code"
-"""
+class _ShellTemplate(Template):
+    delimiter = "@"
+
+
+def shell_script(template: str, root: Path, options: SlurmOptions, **values: object) -> str:
+    """Text of a file in ``scripts/`` with ``@{...}`` replaced by ``values``, the fields of ``options``, the
+    folder's ``name``, the result of :func:`with_setup` and the exit code of interrupted units.
+    """
+    text = (files("datagen.farm") / "scripts" / template).read_text(encoding="utf-8")
+    shared = {**vars(options), "interrupted": EXIT_INTERRUPTED, "setup": with_setup(options, root)}
+    return _ShellTemplate(text).substitute({**shared, "name": root.resolve().name, **values})
 
 
 def ask(where: Path, expected: str, *command: str) -> str:

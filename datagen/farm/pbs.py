@@ -11,9 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from datagen.farm.engine import Script, ask, collect_commands, job_name, with_setup
+from datagen.farm.engine import Script, ask, job_name, shell_script
 from datagen.farm.job_options import SlurmOptions, check_folder, option_name, seconds_of
-from datagen.farm.worker import EXIT_INTERRUPTED
 from datagen.foundation.errors import Problems, raise_problems
 
 _SLURM_ONLY = ("qos", "constraint", "exclude", "mail_type", "sbatch_options", "collect_options")
@@ -47,20 +46,8 @@ class PbsEngine:
         select = _select(options.collect_cpus, options.collect_memory, 0)
         queue = options.collect_partition or options.partition
         head = _directives(_collecting_name(root), options, select, options.collect_time, queue)
-        return Script(
-            "collect.pbs",
-            f"""#!/bin/bash
-# Collects {root.resolve().name} after its units. Written by `datagen farm submit --engine pbs`.
-{head}
-{with_setup(options, root)}
-exec >> "$folder/logs/pbs-collect.log" 2>&1
-# Units that were interrupted have new jobs; qsub refuses to wait for one that has just ended.
-while left=$(qselect -N {job_name(root)} | paste -sd: -) && [ -n "$left" ]; do
-    qsub -W "depend=afterany:$left" "$folder/jobs/collect.pbs" && exit 0
-    sleep 60
-done
-{collect_commands(options)}""",
-        )
+        text = shell_script("collect.pbs", root, options, directives=head, job_name=job_name(root))
+        return Script("collect.pbs", text + shell_script("collect.sh", root, options))
 
     def send(self, script: Path, after: Sequence[str]) -> str:
         wait = ["-W", f"depend=afterany:{':'.join(after)}"] if after else []
@@ -107,32 +94,7 @@ def _unit_script(root: Path, options: SlurmOptions, indices: Sequence[int], numb
         throttle = f"%{options.throttle}" if options.throttle else ""
         head += f"\n#PBS -J 0-{len(indices) - 1}{throttle}"
     wait_s = seconds_of(options.time_limit) - options.notice_s
-    return f"""#!/bin/bash
-# Units of {root.resolve().name}, one per member of the array.
-# Written by `datagen farm submit --engine pbs`; safe to submit again.
-{head}
-{with_setup(options, root)}
-units=({" ".join(map(str, indices))})
-unit="${{DATAGEN_UNIT:-${{units[${{PBS_ARRAY_INDEX:-0}}]}}}}"
-exec >> "$folder/logs/pbs-unit-$unit.log" 2>&1
-
-# {options.notice_s} s before the time limit, a signal lets the unit finish its view
-# and end with {EXIT_INTERRUPTED}.
-datagen run "$folder" --unit "$unit" --attempts {options.attempts} &
-worker=$!
-trap 'kill -USR1 "$worker" 2>/dev/null' USR1 TERM
-( sleep {wait_s}; kill -USR1 "$worker" 2>/dev/null ) > /dev/null 2>&1 &
-timer=$!
-wait "$worker"
-code=$?
-while kill -0 "$worker" 2>/dev/null; do
-    wait "$worker"
-    code=$?
-done
-kill "$timer" 2>/dev/null
-if [ "$code" = {EXIT_INTERRUPTED} ]; then
-    # A job for this unit only: a member of an array cannot be requeued.
-    grep -v '^#PBS -J' "$folder/jobs/units-{number}.pbs" | qsub -v "DATAGEN_UNIT=$unit"
-fi
-exit "$code"
-"""
+    units = " ".join(map(str, indices))
+    return shell_script(
+        "units.pbs", root, options, directives=head, units=units, wait_s=wait_s, number=number
+    )

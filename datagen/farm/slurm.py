@@ -12,10 +12,9 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from datagen.farm.engine import Engine, Script, ask, collect_commands, job_name, with_setup
+from datagen.farm.engine import Engine, Script, ask, job_name, shell_script
 from datagen.farm.job_options import SlurmOptions, can_be_directive, check_folder, split_option
 from datagen.farm.status import array_spec
-from datagen.farm.worker import EXIT_INTERRUPTED
 from datagen.foundation.errors import input_error
 
 
@@ -69,30 +68,8 @@ def array_script(root: Path, options: SlurmOptions, offset: int, indices: list[i
         "output": f"{_escaped(root.resolve())}/logs/slurm-unit-%a.log",
         "signal": f"B:USR1@{options.notice_s}",
     }
-    return f"""#!/bin/bash
-# Units of {root.resolve().name}, one per task. Written by `datagen farm submit`; safe to submit again.
-{_directives(directives, options.sbatch_options)}
-{with_setup(options, root)}
-unit=$(({offset} + SLURM_ARRAY_TASK_ID))
-task="${{SLURM_ARRAY_JOB_ID}}_${{SLURM_ARRAY_TASK_ID}}"
-
-# Slurm signals the script {options.notice_s} s before the time limit; the unit finishes its view and
-# ends with {EXIT_INTERRUPTED}.
-datagen run "$folder" --unit "$unit" --attempts {options.attempts} &
-worker=$!
-trap 'kill -USR1 "$worker" 2>/dev/null' USR1 TERM
-wait "$worker"
-code=$?
-while kill -0 "$worker" 2>/dev/null; do
-    wait "$worker"
-    code=$?
-done
-if [ "$code" = {EXIT_INTERRUPTED} ]; then
-    # Not $SLURM_JOB_ID: that of the last task is the array's, and all tasks would start again.
-    scontrol requeue "$task"
-fi
-exit "$code"
-"""
+    head = _directives(directives, options.sbatch_options)
+    return shell_script("units.sbatch", root, options, directives=head, offset=offset)
 
 
 def _escaped(path: Path) -> str:
@@ -125,14 +102,9 @@ class SlurmEngine:
             "partition": options.collect_partition or options.partition,
             "output": f"{_escaped(root.resolve())}/logs/slurm-collect.log",
         }
-        return Script(
-            "collect.sbatch",
-            f"""#!/bin/bash
-# Collects {root.resolve().name} after its units. Written by `datagen farm submit`.
-{_directives(directives, options.collect_options)}
-{with_setup(options, root)}
-{collect_commands(options)}""",
-        )
+        head = _directives(directives, options.collect_options)
+        text = shell_script("collect.sbatch", root, options, directives=head)
+        return Script("collect.sbatch", text + shell_script("collect.sh", root, options))
 
     def send(self, script: Path, after: Sequence[str]) -> str:
         # with afterok, the job would wait forever after a failed task
