@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -37,27 +37,27 @@ def _recipe() -> None:
     """The group ``recipe``: descriptions of datasets."""
 
 
+def _question(prompt: str, text: str, least: int | None = None) -> Any:
+    return typer.Option(prompt=prompt, min=least, help=text, show_default=False)
+
+
 @recipe.command()
 def new(
     file: Annotated[Path, typer.Argument(help="Recipe to write (YAML), named after the dataset.")],
-    configurations: Annotated[int | None, typer.Option(min=1, help="Number of rooms.")] = None,
-    views: Annotated[int | None, typer.Option(min=1, help="Views per configuration.")] = None,
-    resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels.")] = None,
-    quality: Annotated[str | None, typer.Option(help="draft, standard or reference.")] = None,
+    configurations: Annotated[int, _question("How many rooms [10]", "Number of rooms.", 1)] = 10,
+    views: Annotated[int, _question("How many views of each [12]", "Views per configuration.", 1)] = 12,
+    resolution: Annotated[
+        str, _question("Width x height in pixels [320x192]", "WIDTHxHEIGHT in pixels.")
+    ] = "320x192",
+    quality: Annotated[
+        str, _question("Quality: draft, standard or reference [draft]", "draft, standard or reference.")
+    ] = "draft",
     seed: Annotated[int, typer.Option(min=0, help="Seed of all random choices.")] = 0,
 ) -> None:
     """Ask four questions and write a recipe; options answer them in advance.
 
     Example: datagen recipe new rooms.yaml --configurations 4 --views 8 --resolution 320x192 --quality draft
     """
-    if configurations is None:
-        configurations = typer.prompt("How many rooms", default=10, type=int)
-    if views is None:
-        views = typer.prompt("How many views of each", default=12, type=int)
-    if resolution is None:
-        resolution = typer.prompt("Width x height in pixels", default="320x192")
-    if quality is None:
-        quality = typer.prompt("Quality: draft, standard or reference", default="draft")
     typer.echo(write_recipe(file, configurations, views, resolution, quality, seed))
     typer.echo(f"next: datagen run {file} --out {file.stem}")
 

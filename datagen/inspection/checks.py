@@ -186,29 +186,21 @@ def roughness_ranges(view: View) -> dict[int, tuple[int, float, float]]:
     return ranges
 
 
-def merge_ranges(
-    first: dict[int, tuple[int, float, float]], second: dict[int, tuple[int, float, float]]
-) -> dict[int, tuple[int, float, float]]:
-    """Merge two results of :func:`roughness_ranges`: add the counts and unite the ranges."""
-    merged = dict(first)
-    for material, (count, low, high) in second.items():
-        old = merged.get(material, (0, np.inf, -np.inf))
-        merged[material] = (old[0] + count, min(old[1], low), max(old[2], high))
-    return merged
-
-
 def check_roughness(
-    ranges: Mapping[int, tuple[int, float, float]],
+    ranges: Mapping[int, Sequence[tuple[int, float, float]]],
     names: Mapping[str, str],
     textured: Mapping[str, float],
     where: str,
 ) -> Iterator[Fault]:
     """Find materials whose roughness is constant in the views although their texture varies.
 
-    ``names`` maps ids (as text) to material names, ``textured`` names to the range (maximum - minimum) of
-    their texture. Materials with few pixels, or with a nearly constant texture, are ignored.
+    ``ranges`` maps ids to results of :func:`roughness_ranges`, ``names`` ids (as text) to material names,
+    ``textured`` names to the range (maximum - minimum) of their texture. Materials with few pixels, or with a
+    nearly constant texture, are ignored.
     """
-    for material, (count, low, high) in sorted(ranges.items()):
+    for material, found in sorted(ranges.items()):
+        counts, lows, highs = zip(*found, strict=True)
+        count, low, high = sum(counts), min(lows), max(highs)
         name = names.get(str(material), "").partition("#")[0]
         expected = textured.get(name, 0.0)
         is_shown = count >= MIN_ROUGHNESS_PIXELS and expected > 10 * MIN_ROUGHNESS_RANGE

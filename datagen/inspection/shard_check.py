@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +10,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.base import ModelT, parse_model, sha256_file, sha256_hex
+from datagen.formats.base import ModelT, sha256_file, sha256_hex
 from datagen.formats.configuration import Configuration
-from datagen.formats.shard import CONFIGURATION_MEMBER, CONFIGURATION_MEMBERS, ShardReader, ShardRecord
+from datagen.formats.shard import (
+    CONFIGURATION_MEMBER,
+    CONFIGURATION_MEMBERS,
+    ShardReader,
+    ShardRecord,
+    parse_member,
+)
 from datagen.formats.view import ViewRecord
 from datagen.foundation.buffers import STATISTICS_BUFFERS
 from datagen.foundation.errors import InputError
@@ -68,7 +73,7 @@ class _ShardVerifier:
         self.records: dict[str, ViewRecord] = {}
         self.geometries: list[Geometry] = []
         self.beauties: dict[str, dict[str, NDArray]] = {}
-        self.roughness: dict[int, tuple[int, float, float]] = {}
+        self.roughness: dict[int, list[tuple[int, float, float]]] = {}
         self.materials: dict[str, str] = {}
 
     def add(self, check: str, where: str, got: str, expected: str) -> None:
@@ -97,12 +102,10 @@ class _ShardVerifier:
 
     def parse(self, model: type[ModelT], data: bytes, where: str) -> ModelT | None:
         try:
-            return parse_model(model, json.loads(data), where)
+            return parse_member(model, data, where)
         except InputError as error:
             self.add_problems(error)
-        except (ValueError, RecursionError) as error:
-            self.add("member", where, str(error), "valid JSON")
-        return None
+            return None
 
     def read_member(self, name: str, data: bytes) -> None:
         where = f"{self.where}:{name}"
@@ -156,7 +159,8 @@ class _ShardVerifier:
         if {"depth_z_m", "normal_world", "surface_mask"} <= view.keys():
             self.geometries.append(Geometry.from_buffers(record.name, camera, view))
         if {"roughness", "material_id", "surface_mask"} <= view.keys():
-            self.roughness = checks.merge_ranges(self.roughness, checks.roughness_ranges(view))
+            for material, found in checks.roughness_ranges(view).items():
+                self.roughness.setdefault(material, []).append(found)
             self.materials.update(record.materials)
 
     def apply(self, check: str, faults: Iterable[Fault]) -> None:

@@ -227,20 +227,18 @@ def prediction_table(
     order = [(shard["id"], view["name"]) for shard in gathered for view in shard["views"]]
     methods_out, errors = [], {}
     for method in methods:
-        found = [by_place.get((method.slug, *place)) for place in order]
-        there = [view for view in found if view is not None and view["file"]]
+        found = {place: by_place.get((method.slug, *place), {}) for place in order}
+        there = {place: view for place, view in found.items() if view.get("file")}
         problems = [
-            [configuration, name, "; ".join(view["problems"])]
-            for (configuration, name), view in zip(order, found, strict=True)
-            if view is not None and view["problems"]
+            [*place, "; ".join(view["problems"])] for place, view in there.items() if view["problems"]
         ]
-        missing = [f"{c}/{n}" for (c, n), v in zip(order, found, strict=True) if v is None or not v["file"]]
+        missing = ["/".join(place) for place in order if place not in there]
         methods_out.append(
             {
                 "label": method.label,
                 "slug": method.slug,
                 "folder": method.folder.resolve().name,
-                "total": {name: _total(there, name) for name in MATERIAL_MAPS},
+                "total": {name: _total(list(there.values()), name) for name in MATERIAL_MAPS},
                 "num_views": len(there),
                 "num_missing": len(missing),
                 "missing": missing[:MAX_LISTED_PROBLEMS],
@@ -250,9 +248,9 @@ def prediction_table(
         )
         errors[method.slug] = [
             [*(_rounded(view["mse"].get(name)) for name in MATERIAL_MAPS), _bits(view["maps"])]
-            if view is not None and view["file"]
+            if (view := there.get(place))
             else None
-            for view in found
+            for place in order
         ]
     return {"maps": list(MATERIAL_MAPS), "methods": methods_out, "errors": errors}
 

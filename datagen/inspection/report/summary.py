@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,7 @@ _UNKNOWN = "not in the library"
 MAX_LISTED_FAULTS = 20
 
 
-def histogram(axis: Axis, counts: Sequence[int], what: str) -> dict[str, Any]:
+def histogram(axis: Axis, counts: Iterable[int], what: str) -> dict[str, Any]:
     """Plain data of a histogram for the page; ``what`` is the noun for the counted items."""
     return {
         "title": axis.title,
@@ -39,14 +39,10 @@ def histogram(axis: Axis, counts: Sequence[int], what: str) -> dict[str, Any]:
     }
 
 
-def _histogram_of(axis: Axis, values: Sequence[float], what: str) -> dict[str, Any]:
-    return histogram(axis, axis.count(values).tolist(), what)
-
-
 def distributions(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Plain data of all histograms of the page, in order, from the results of :func:`gather_shard`."""
     figures = [
-        histogram(axis, np.sum([shard["counts"][name] for shard in gathered], axis=0).tolist(), "pixels")
+        histogram(axis, np.sum([shard["counts"][name] for shard in gathered], axis=0), "pixels")
         for name, axis in PIXEL_AXES.items()
     ]
     by_type: dict[tuple[str, str], list[float]] = {}
@@ -55,7 +51,7 @@ def distributions(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             by_type.setdefault((light["type"], light["unit"]), []).append(light["value"])
     for (kind, unit), values in sorted(by_type.items()):
         axis = nice_axis(f"Intensity of {kind} lights", unit, values, 20, log=True)
-        figures.append(_histogram_of(axis, values, "lights"))
+        figures.append(histogram(axis, axis.count(values), "lights"))
     views = [view for shard in gathered for view in shard["views"]]
     for name, title, unit, log in (
         ("exposure", "Exposure", "factor on linear radiance", True),
@@ -69,7 +65,8 @@ def distributions(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     ):
         values = [view[name] for view in views if view[name] is not None]
         if values:
-            figures.append(_histogram_of(nice_axis(title, unit, values, 24, log), values, "views"))
+            axis = nice_axis(title, unit, values, 24, log)
+            figures.append(histogram(axis, axis.count(values), "views"))
     return figures
 
 
