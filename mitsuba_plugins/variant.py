@@ -55,8 +55,6 @@ def find_llvm_libraries() -> list[LlvmLibrary]:
     found: dict[Path, LlvmLibrary] = {}
     folders = [Path(f) for f in SEARCH_FOLDERS] + sorted(Path("/usr/lib").glob("llvm-*/lib"))
     for folder in folders:
-        if not folder.is_dir():
-            continue
         for path in sorted(p for pattern in ("libLLVM*", "LLVM-C.dll") for p in folder.glob(pattern)):
             match = _LIBRARY_NAME.match(path.name)
             major = int(match[1]) if match else None

@@ -56,11 +56,6 @@ class RunSummary:
     disk_full: str = ""
     """Message about a full disk that stopped the run, or ''; affected units do not count as failed."""
 
-    @property
-    def set_aside(self) -> list[str]:
-        """Ids of the units whose attempts all failed."""
-        return [failure.id for failure in self.failures]
-
 
 Event = tuple[str, str, str, int, int]
 """(kind, unit id, stage, done, total), with kind "progress" or "done", or (kind, unit id, reason, attempts,
@@ -116,7 +111,7 @@ def run_local(
     """Run every unfinished unit of the plan, or of ``options.only``, and return the outcome.
 
     After SIGINT, SIGTERM or SIGUSR1, the run stops once views in progress are finished, at most 20 s later; a
-    full disk stops it immediately. Units that failed ``attempts`` times are listed in ``set_aside`` and
+    full disk stops it immediately. Units that failed ``attempts`` times are listed in ``failures`` and
     recorded in ``failed/``. Raises :class:`InputError` without a plan or for a folder that is not writable.
     """
     folder = DatasetFolder(root)

@@ -82,9 +82,7 @@ def worker_main(connection: Connection, root: str, threads: int, stages: tuple[s
                     should_stop=lambda: bool(signals) or os.getppid() != parent,
                 )
         except OSError as error:  # no space for a log
-            outcome = "failed", f"{type(error).__name__}: {error}"
-            if error.errno in DISK_FULL:
-                outcome = "full", _full(error, folder.root)
+            outcome = _outcome_of(error, folder.root)
         memory = psutil.Process().memory_info().rss / 2**20
         try:
             connection.send(("outcome", *outcome, memory))
@@ -92,9 +90,11 @@ def worker_main(connection: Connection, root: str, threads: int, stages: tuple[s
             return
 
 
-def _full(error: OSError, root: Path) -> str:
-    """Message about a write error on a full disk."""
-    return str(Problem(error.filename or root, "", (error.strerror or str(error)).lower()))
+def _outcome_of(error: Exception, root: Path) -> tuple[str, str]:
+    """Outcome of an attempt that raised ``error``, full (disk) or failed, and the reason."""
+    if isinstance(error, OSError) and error.errno in DISK_FULL:
+        return "full", str(Problem(error.filename or root, "", (error.strerror or str(error)).lower()))
+    return "failed", f"{type(error).__name__}: {error}"
 
 
 @contextmanager
@@ -160,16 +160,13 @@ def _run_one(
     except InputError as error:
         print(error, file=sys.stderr)
         return "failed", str(error)
-    except OSError as error:
-        if error.errno not in DISK_FULL:
-            traceback.print_exc()
-            return "failed", f"{type(error).__name__}: {error}"
-        reason = _full(error, context.folder.root)
-        print(reason, file=sys.stderr)
-        return "full", reason
     except Exception as error:  # a worker must survive any exception of a unit; the trace is in its log
-        traceback.print_exc()
-        return "failed", f"{type(error).__name__}: {error}"
+        outcome, reason = _outcome_of(error, context.folder.root)
+        if outcome == "full":
+            print(reason, file=sys.stderr)
+        else:
+            traceback.print_exc()
+        return outcome, reason
 
 
 def run_unit_here(

@@ -64,11 +64,10 @@ def _run_sample(recipe: Recipe, library: Library, num_views: int, root: Path) ->
     summary = run_local(root, LocalOptions(attempts=1))
     if summary.interrupted:
         raise KeyboardInterrupt
-    folder = DatasetFolder(root)
-    if summary.set_aside:
-        failure = folder.read_failure(summary.set_aside[0])
-        raise input_error("estimate", "sample", failure.reason, "a unit without errors", "read the message")
-    manifest = folder.read_manifest(plan.units[0])
+    if summary.failures:
+        reason = summary.failures[0].reason
+        raise input_error("estimate", "sample", reason, "a unit without errors", "read the message")
+    manifest = DatasetFolder(root).read_manifest(plan.units[0])
     assert manifest is not None
     return _Sample(num_views, plan_s, manifest)
 

@@ -36,7 +36,7 @@ from pathlib import Path
 from datagen.farm.local import LocalOptions, run_local
 if __name__ == "__main__":
     summary = run_local(Path(sys.argv[1]), LocalOptions(workers=2, attempts=1000))
-    sys.exit(1 if summary.set_aside else 0)
+    sys.exit(1 if summary.failures else 0)
 """
 
 
@@ -163,7 +163,7 @@ def _kill_at_random(
 
 def _check_completes(folder: DatasetFolder, expected: dict[str, str]) -> None:
     summary = run_local(folder.root, LocalOptions(workers=2))
-    assert not summary.set_aside
+    assert not summary.failures
     assert _hashes(folder) == expected
     assert len(list(folder.shards_path.glob("*.tar"))) == len(expected)
 

@@ -38,7 +38,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory, library_root: Path) -> Da
     """A dataset made by one worker without interruption."""
     folder = plan_small(tmp_path_factory.mktemp("one") / "dataset", library_root)
     summary = run_local(folder.root, LocalOptions(workers=1))
-    assert len(summary.done) == 3 and not summary.set_aside
+    assert len(summary.done) == 3 and not summary.failures
     collect(folder.root)
     return folder
 
@@ -172,7 +172,7 @@ def test_failing_unit_is_recorded_with_log_and_command(tmp_path: Path, library_r
     data["assets"] = {"room-0": "f" * 64}
     path.write_text(json.dumps(data))
     summary = run_local(folder.root, LocalOptions(workers=1, attempts=2))
-    assert summary.done == ["small-00000"] and summary.set_aside == ["small-00001"]
+    assert summary.done == ["small-00000"] and [f.id for f in summary.failures] == ["small-00001"]
     failure = folder.read_failure("small-00001")
     assert failure.attempts == 2 and "not what was planned" in failure.reason
     assert failure.command.endswith("failing --unit 1 --attempts 0")
