@@ -97,11 +97,7 @@ def plan(
 
     Example: datagen plan smoke --out smoke
     """
-    recipe_path, recipe = changes.load(recipe_path)
-    if dry_run:
-        _check_and_print(recipe, recipe_path.parent)
-        return
-    plan_recipe(recipe, recipe_path.parent, out, workers)
+    _plan(recipe_path, changes, out, workers, dry_run)
 
 
 @with_options
@@ -123,11 +119,9 @@ def run(
     Example: datagen run smoke --out smoke --workers 2
     """
     if out is not None:
-        recipe_path, recipe = changes.load(source)
+        _plan(source, changes, out, workers, dry_run)
         if dry_run:
-            _check_and_print(recipe, recipe_path.parent)
             return
-        plan_recipe(recipe, recipe_path.parent, out, workers)
     else:
         _check_planned(source, changes)
         out = source
@@ -164,13 +158,17 @@ def _check_planned(folder: Path, changes: RecipeChanges) -> None:
         raise input_error(f"--{given[0]}", got=str(folder), expected=expected, remedy="leave the option out")
 
 
-def _check_and_print(recipe: Recipe, base: Path) -> None:
-    """Check everything that could stop a run at its start, and print the resolved recipe."""
+def _plan(recipe_path: Path, changes: RecipeChanges, out: Path, workers: int, dry_run: bool) -> None:
+    """Plan a recipe or, if ``dry_run``, check all that could stop a run, and print the recipe."""
+    recipe_path, recipe = changes.load(recipe_path)
+    if not dry_run:
+        plan_recipe(recipe, recipe_path.parent, out, workers)
+        return
     import yaml
 
     from datagen.farm.planning import check_start
 
-    with _open_library(recipe, base) as opened:
+    with _open_library(recipe, recipe_path.parent) as opened:
         check_start(recipe, opened)
     typer.echo(yaml.safe_dump(recipe.model_dump(mode="json"), sort_keys=False), nl=False)
 

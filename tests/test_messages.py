@@ -20,7 +20,7 @@ from datagen.foundation.meshes.ply import read_ply
 from datagen.foundation.progress import table_console
 from datagen.importers.common import ImportOptions
 from datagen.importers.dispatch import import_asset
-from datagen.inspection.commands import print_library
+from datagen.inspection.commands import library
 from datagen.library import describe_library
 from model.checkpoint import DataRecord, read_card
 from model.reconstruction.captures.mesh_file import load_mesh
@@ -120,7 +120,7 @@ def test_another_run_of_training_names_the_differing_fields(tmp_path: Path) -> N
 
 def test_ids_are_not_truncated_in_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
     """Regression: ids were truncated at 80 columns."""
-    assert print_library(["bundled"], check=False, as_json=False) == 0
+    library(["bundled"])
     text = capsys.readouterr().out
     from datagen.foundation.bundled import bundled_library
 

@@ -41,27 +41,19 @@ def library(
 
     Example: datagen library bundled my-library --check
     """
-    raise typer.Exit(print_library(paths or ["bundled"], check, as_json))
-
-
-def print_library(names: list[str], check: bool, as_json: bool) -> int:
-    """Print the assets of libraries or, with ``check``, their faults; returns the exit code.
-
-    Raises :class:`InputError` for a folder without packages.
-    """
     from rich.table import Column, Table
 
     from datagen.foundation.progress import table_console
     from datagen.library import check_library, describe_library, find_packages, resolve_library_paths
 
-    paths = resolve_library_paths(names, Path.cwd())
-    for path in paths:
+    folders = resolve_library_paths(paths or ["bundled"], Path.cwd())
+    for path in folders:
         if path.is_dir() and not find_packages(path):
             remedy = "name another folder, or add packages by `datagen import` or the Blender add-on"
             raise input_error(path, "", "no asset packages", "a library folder", remedy)
     if check:
         with Bars("packages", is_transient=True) as bars:
-            report = check_library(paths, partial(bars.tell, "check"))
+            report = check_library(folders, partial(bars.tell, "check"))
         if as_json:
             errors, warnings = [*map(str, report.errors)], [*map(str, report.warnings)]
             print(json.dumps({"errors": errors, "warnings": warnings}))
@@ -72,11 +64,11 @@ def print_library(names: list[str], check: bool, as_json: bool) -> int:
                 print(f"error: {problem}")
             counts = f"{len(report.errors)} errors, {len(report.warnings)} warnings"
             print(f"{report.num_packages} packages: {counts}")
-        return 1 if report.errors else 0
-    summaries = describe_library(paths, with_hash=as_json)
+        raise typer.Exit(1 if report.errors else 0)
+    summaries = describe_library(folders, with_hash=as_json)
     if as_json:
         print(json.dumps([{**asdict(s), "path": str(s.path)} for s in summaries], indent=2))
-        return 0
+        return
     table = Table("kind", Column("id", overflow="fold"), "title", "what", "licence")
     for summary in summaries:
         licence = summary.license + (" (evaluation only)" if summary.usage != "any" else "")
@@ -84,7 +76,6 @@ def print_library(names: list[str], check: bool, as_json: bool) -> int:
     table_console().print(table)
     by_kind = Counter(s.kind for s in summaries)
     print(", ".join(f"{count} {kind}s" for kind, count in sorted(by_kind.items())))
-    return 0
 
 
 LibraryOption = Annotated[
