@@ -91,28 +91,19 @@ class SlurmOptions:
     ] = ()
 
     def __post_init__(self) -> None:
-        problems = [*self._wrong_forms(), *self._wrong_numbers(), *_wrong_setup(self.setup)]
-        for name in ("sbatch_options", "collect_options"):
-            problems += [p for text in getattr(self, name) for p in _wrong_option(option_name(name), text)]
-        raise_problems(problems)
-
-    def _wrong_forms(self) -> list[Problem]:
-        problems = Problems(_WHERE)
+        problems, options = Problems(_WHERE), declared_options(SlurmOptions)
         for field in fields(self):
-            form = _FORMS.get(_FORM_OF.get(field.name, field.name))
-            value = getattr(self, field.name)
-            if form is None or (value == "" and field.default == ""):
-                continue
-            if not form[0].fullmatch(value):
-                problems.add(option_name(field.name), repr(value), f"a value such as {form[1]}", "correct it")
-        return problems
-
-    def _wrong_numbers(self) -> list[Problem]:
-        return [
-            Problem(_WHERE, option, repr(value), f"a whole number from {least}", "correct it")
-            for name, (option, least) in declared_options(SlurmOptions).items()
-            if least is not None and (type(value := getattr(self, name)) is not int or value < least)
-        ]
+            form, value = _FORMS.get(_FORM_OF.get(field.name, field.name)), getattr(self, field.name)
+            if form is not None and (value or field.default) and not form[0].fullmatch(value):
+                got, expected = repr(value), f"a value such as {form[1]}"
+                problems.add(options[field.name][0], got, expected, "correct it")
+        for name, (option, least) in options.items():
+            if least is not None and (type(value := getattr(self, name)) is not int or value < least):
+                problems.add(option, repr(value), f"a whole number from {least}", "correct it")
+        problems += _wrong_setup(self.setup)
+        for name in ("sbatch_options", "collect_options"):
+            problems += [p for text in getattr(self, name) for p in _wrong_option(options[name][0], text)]
+        raise_problems(problems)
 
 
 def seconds_of(time_limit: str) -> int:

@@ -10,6 +10,7 @@ import struct
 import xml.etree.ElementTree as ElementTree
 import zipfile
 import zlib
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +37,8 @@ def parse_json(text: str, where: str | Path, budget: Budget, remedy: str = "expo
 
 
 def _depth(text: str) -> int:
-    depth = deepest = 0
-    for match in _OPENING.finditer(text):
-        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(match[0], 0)
-        deepest = max(deepest, depth)
-    return deepest
+    steps = ({"[": 1, "{": 1, "]": -1, "}": -1}.get(match[0], 0) for match in _OPENING.finditer(text))
+    return max(accumulate(steps, initial=0))
 
 
 class _Counter(ElementTree.TreeBuilder):
