@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 from datagen.asset_check import CheckReport, check_package
 from datagen.formats.asset import EnvironmentAsset, MaterialAsset, ObjectAsset, PanoramaAsset
@@ -24,12 +24,6 @@ from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.progress import Advance, no_advance
 
 AssetKind = Literal["environment", "object", "material", "panorama"]
-KIND_FOLDERS: dict[AssetKind, str] = {
-    "environment": "environments",
-    "object": "objects",
-    "material": "materials",
-    "panorama": "panoramas",
-}
 _MAX_DEPTH = 4  # depth of the search for packages below a library's root
 
 
@@ -231,12 +225,10 @@ def summarize(package: Package, *, with_hash: bool = True) -> AssetSummary:
 
 def describe_library(paths: Iterable[str | Path], *, with_hash: bool = False) -> list[AssetSummary]:
     """Summaries of all assets of the libraries ``paths``, ordered by kind, then id."""
-    order = list(KIND_FOLDERS)
+    order = get_args(AssetKind)
     with Library(paths) as library:
-        return sorted(
-            (summarize(package, with_hash=with_hash) for package in library),
-            key=lambda line: (order.index(line.kind), line.id),
-        )
+        lines = [summarize(package, with_hash=with_hash) for package in library]
+        return sorted(lines, key=lambda line: (order.index(line.kind), line.id))
 
 
 def check_library(paths: Iterable[str | Path], progress: Advance = no_advance) -> CheckReport:

@@ -10,8 +10,10 @@ from __future__ import annotations
 import io
 import json
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -66,24 +68,30 @@ class GatherJob:
         return self.out / "gathered" / f"{self.record.configuration}.json"
 
 
-def kept_result(path: Path, key: str) -> dict[str, Any] | None:
-    """The result that an earlier report stored in ``path`` under ``key``, or None if there is none."""
-    try:
-        kept = json.loads(path.read_bytes())
-    except (OSError, ValueError):
-        return None
-    return kept if isinstance(kept, dict) and kept.get("key") == key else None
+def kept(work: Callable[[Any], dict[str, Any]]) -> Callable[[Any], dict[str, Any]]:
+    """Store the results of ``work`` in a job's ``kept_path`` under its ``key``, and reuse them later."""
+
+    @wraps(work)
+    def result_of(job: Any) -> dict[str, Any]:
+        key = job.key
+        with suppress(OSError, ValueError):
+            earlier = json.loads(job.kept_path.read_bytes())
+            if isinstance(earlier, dict) and earlier.get("key") == key:
+                return earlier
+        result = {"key": key, **work(job)}
+        job.kept_path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes_atomically(job.kept_path, canonical_json(result))
+        return result
+
+    return result_of
 
 
+@kept
 def gather_shard(job: GatherJob) -> dict[str, Any]:
     """Measure one shard; returns plain data and writes thumbnails, tiles and the configuration's script.
 
-    A stored result is reused. Raises :class:`InputError` if the shard is damaged or a view lacks a
-    buffer.
+    Raises :class:`InputError` if the shard is damaged or a view lacks a buffer.
     """
-    kept = kept_result(job.kept_path, job.key)
-    if kept is not None:
-        return kept
     identity = job.record.configuration
     reader = ShardReader(job.shard)
     configuration = reader.configuration()
@@ -112,8 +120,7 @@ def gather_shard(job: GatherJob) -> dict[str, Any]:
     if job.with_pixels and job.with_sources and len(geometry) == len(records) > 0:
         tile_bytes += _write_sources(job.out / "tiles" / identity, records, geometry)
     _write_configuration(job.out / "configurations" / f"{identity}.js", configuration, records)
-    result = {
-        "key": job.key,
+    return {
         "id": identity,
         "split": job.record.split,
         "has_pixels": job.with_pixels,
@@ -129,9 +136,6 @@ def gather_shard(job: GatherJob) -> dict[str, Any]:
         "lights": [light_intensity(light) for light in configuration.lights],
         "rejections": configuration.rejections,
     }
-    job.kept_path.parent.mkdir(parents=True, exist_ok=True)
-    write_bytes_atomically(job.kept_path, canonical_json(result))
-    return result
 
 
 def light_intensity(light: Light) -> dict[str, Any]:

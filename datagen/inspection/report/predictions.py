@@ -24,14 +24,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
+from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.shard import ShardReader, ShardRecord, View
 from datagen.foundation.buffers import MATERIAL_MAPS, surface_pixels
 from datagen.foundation.errors import InputError, Problem, raise_problems
 from datagen.foundation.exr import decode_view
 from datagen.foundation.naming import unique
 from datagen.foundation.transliteration import transliterated
-from datagen.inspection.report.gather import kept_result
+from datagen.inspection.report.gather import kept
 from datagen.inspection.report.tiles import write_tile
 
 TILES = "predictions"
@@ -125,15 +125,12 @@ class CompareJob:
         return self.out / "gathered" / "predictions" / self.method.slug / name
 
 
+@kept
 def compare_shard(job: CompareJob) -> dict[str, Any]:
     """Compare a method's maps with a shard; returns each view's errors as plain data and writes tiles.
 
     Faults of a prediction are part of the result. Raises :class:`InputError` if the shard is damaged.
     """
-    key = job.key
-    kept = kept_result(job.kept_path, key)
-    if kept is not None:
-        return kept
     views = []
     tile_bytes = 0
     for view in ShardReader(job.shard):
@@ -145,16 +142,12 @@ def compare_shard(job: CompareJob) -> dict[str, Any]:
             for name, predicted in maps.items():
                 path = job.out / "tiles" / f"{stem}/{name}.html"
                 tile_bytes += write_tile(path, f"{stem}/{name}", predicted)
-    result = {
-        "key": key,
+    return {
         "configuration": job.record.configuration,
         "method": job.method.slug,
         "views": views,
         "tile_bytes": tile_bytes,
     }
-    job.kept_path.parent.mkdir(parents=True, exist_ok=True)
-    write_bytes_atomically(job.kept_path, canonical_json(result))
-    return result
 
 
 def _compare_view(
