@@ -124,8 +124,11 @@ def find_leftovers(root: Path) -> list[Path]:
             candidates.append((folder.units_path / name, by_key.get(match["key"])))
     found = [p for p, unit in candidates if unit is not None and not _is_needed(folder, unit, p.name, now)]
     names = names_in(root / "work")
-    works = [unit for unit in units if folder.work_path(unit).name in names]
-    return sorted([*found, *(folder.work_path(unit) for unit in works if _is_over(folder, unit, now))])
+    for unit in units:
+        work = folder.work_path(unit)
+        if work.name in names and folder.is_done(unit) and age_of_attempt(work, now) >= RUNNING_AGE_S:
+            found.append(work)
+    return sorted(found)
 
 
 def remove_leftovers(root: Path) -> list[Path]:
@@ -152,8 +155,3 @@ def _is_needed(folder: DatasetFolder, unit: PlannedUnit, name: str, now: float) 
     except InputError:
         return True  # a damaged manifest does not identify its shard
     return manifest is not None and Path(manifest.shard).name == name
-
-
-def _is_over(folder: DatasetFolder, unit: PlannedUnit, now: float) -> bool:
-    """Whether the unit is done and has no recent heartbeat."""
-    return folder.is_done(unit) and age_of_attempt(folder.work_path(unit), now) >= RUNNING_AGE_S

@@ -53,12 +53,11 @@ class Geometry:
 class Agreement:
     """Agreement of a view's depth with the points of another view; NaN for too few comparable points.
 
-    ``num_points`` counts the points that are not occluded; ``seen_through`` is the share of them at whose
-    depth the view has no surface; ``median_residual`` is the median distance of the view's surface from the
-    tangent planes at the points, relative to depth.
+    ``seen_through`` is the share of the points that are not occluded at whose depth the view has no surface;
+    ``median_residual`` is the median distance of the view's surface from the tangent planes at the points,
+    relative to depth.
     """
 
-    num_points: int
     seen_through: float
     median_residual: float
 
@@ -93,13 +92,15 @@ def compare(points: NDArray, normals: NDArray, other: Geometry) -> Agreement:
     is_through = (seen <= 0) | (seen > z * (1 + MATCH_DISTANCE))
     is_match = ~is_blocked & ~is_through
     num_points = int((~is_blocked).sum())
-    if num_points < MIN_POINTS or is_match.sum() < MIN_POINTS // 3:
-        through = float(is_through.sum() / num_points) if num_points >= MIN_POINTS else np.nan
-        return Agreement(num_points, through, np.nan)
+    if num_points < MIN_POINTS:
+        return Agreement(np.nan, np.nan)
+    through = float(is_through.sum() / num_points)
+    if is_match.sum() < MIN_POINTS // 3:
+        return Agreement(through, np.nan)
     centres = np.stack([columns, rows], axis=-1) + 0.5
     found = camera.unproject(centres[is_match], seen[is_match])
     gap = np.abs(np.einsum("nc,nc->n", normals[is_match], found - points[is_match])) / z[is_match]
-    return Agreement(num_points, float(is_through.sum() / num_points), float(np.median(gap)))
+    return Agreement(through, float(np.median(gap)))
 
 
 def partners_of(index: int, count: int) -> list[int]:

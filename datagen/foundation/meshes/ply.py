@@ -102,10 +102,7 @@ def _parse_header(header: str, where: str | Path) -> tuple[str, list[_Element]]:
             if words[0] == "format":
                 form = words[1]
             elif words[0] == "element":
-                count = int(words[2])
-                if not 0 <= count <= MAX_VERTICES:
-                    raise input_error(where, f"element {words[1]}", count, f"0 to {MAX_VERTICES}")
-                elements.append((words[1], count, []))
+                elements.append((words[1], int(words[2]), []))
             elif words[0] == "property" and words[1] == "list":
                 elements[-1][2].append((words[4], _PLY_TYPES[words[3]], _PLY_TYPES[words[2]]))
             elif words[0] == "property":
@@ -114,10 +111,11 @@ def _parse_header(header: str, where: str | Path) -> tuple[str, list[_Element]]:
             raise input_error(
                 where, "header", line.strip()[:80], f"a PLY header line ({error})", _PLY_REMEDY
             ) from None
-        except ValueError as error:
-            if isinstance(error, InputError):
-                raise
+        except ValueError:
             raise input_error(where, "header", line.strip()[:80], "a number", _PLY_REMEDY) from None
+    for name, count, _ in elements:
+        if not 0 <= count <= MAX_VERTICES:
+            raise input_error(where, f"element {name}", count, f"0 to {MAX_VERTICES}")
     return form, elements
 
 
