@@ -5,16 +5,19 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from datagen.foundation.command_line import finite, with_options
 from datagen.foundation.errors import input_error
 from datagen.foundation.progress import Bars
+
+if TYPE_CHECKING:
+    from datagen.inspection.report.predictions import Method
 
 
 def doctor() -> None:
@@ -116,8 +119,8 @@ def verify(
 
 
 @dataclass(frozen=True)
-class ReportWords:
-    """Options for the contents of the report."""
+class ReportOptions:
+    """Options for the contents of the report, and the number of processes that write it."""
 
     pixels: Annotated[str, typer.Option(help="Number of views with pixels for the viewer, or all.")] = "400"
     sources: Annotated[bool, typer.Option(help="Write which views each pixel's statistics use.")] = True
@@ -132,12 +135,32 @@ class ReportWords:
     label: Annotated[
         tuple[str, ...], typer.Option(help="Name for the predictions, repeatable, in their order.")
     ] = ()
+    workers: int = 1
+
+    @property
+    def max_pixel_views(self) -> int | None:
+        """Maximum number of views with pixels for the viewer, by whole configurations; None: all.
+
+        Raises :class:`InputError` if ``pixels`` is neither a number nor "all".
+        """
+        if self.pixels == "all":
+            return None
+        if not self.pixels.isdecimal():
+            raise input_error("--pixels", "", repr(self.pixels), 'a number of views, or "all"', "correct it")
+        return int(self.pixels)
+
+    @property
+    def methods(self) -> tuple[Method, ...]:
+        """The methods of the predictions; raises like :func:`parse_methods`."""
+        from datagen.inspection.report.predictions import parse_methods
+
+        return parse_methods(self.predictions, self.label)
 
 
 @with_options
 def report(
     folder: Annotated[Path, typer.Argument(help="Dataset folder.")],
-    words: ReportWords,
+    options: ReportOptions,
     out: Annotated[
         Path | None, typer.Option(help="Folder for the page; default: report/ in the dataset.")
     ] = None,
@@ -158,12 +181,9 @@ def report(
             raise input_error("--sheets-only", "", got, expected, "leave them out")
         write_sheets(folder)
         return
-    from datagen.inspection.report.predictions import parse_methods
-    from datagen.inspection.report.writing import ReportOptions, parse_pixels, report_command
+    from datagen.inspection.report.writing import report_command
 
-    methods = parse_methods(words.predictions, words.label)
-    pixels = parse_pixels(words.pixels)
-    options = ReportOptions(pixels, words.sources, words.check, words.cost, workers, methods)
+    options = replace(options, workers=workers)
     raise typer.Exit(report_command(folder, out, options, _resolve(library), dry_run))
 
 

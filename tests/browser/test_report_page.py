@@ -19,10 +19,10 @@ from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.color import cividis, srgb_from_linear
 from datagen.foundation.exr import decode_view, encode_view
 from datagen.foundation.images import encode_png
+from datagen.inspection.commands import ReportOptions
 from datagen.inspection.report.gather import SHOWN_BUFFERS
-from datagen.inspection.report.predictions import parse_methods
 from datagen.inspection.report.tiles import write_tile
-from datagen.inspection.report.writing import VIEW_COLUMNS, ReportOptions, write_report
+from datagen.inspection.report.writing import VIEW_COLUMNS, write_report
 from datagen.library import Library
 from tests.browser.driver import Page, find_browser, open_browser
 from tests.datagen.small_rendered import predict, rendered_dataset
@@ -73,7 +73,7 @@ def report(dataset: Path, predictions: list[Path], tmp_path_factory: pytest.Temp
     out = dataset / "a page with spaces & signs"
     (dataset / "sheets").mkdir()
     (dataset / "sheets" / "small-00001.png").write_bytes(encode_png(np.zeros((2, 3, 3), np.uint8)))
-    options = ReportOptions(predictions=parse_methods(predictions, ["ours", "Their <method>"]))
+    options = ReportOptions(predictions=tuple(predictions), label=("ours", "Their <method>"))
     with Library([rendered_dataset(tmp_path_factory).parent / "library"]) as library:
         write_report(dataset, out, options, library)
     return out

@@ -17,6 +17,7 @@ from datagen.formats.shard import Dataset, DatasetIndex, ShardReader, ShardRecor
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view
+from datagen.inspection.commands import ReportOptions
 from datagen.inspection.findings import Fault, Report
 from datagen.inspection.report import summary
 from datagen.inspection.report.figures import (
@@ -39,9 +40,7 @@ from datagen.inspection.report.predictions import parse_methods
 from datagen.inspection.report.tiles import encode_tile, write_tile
 from datagen.inspection.report.writing import (
     PAGE_FILES,
-    ReportOptions,
     choose_configurations,
-    parse_pixels,
     report_command,
     write_report,
 )
@@ -63,7 +62,7 @@ def report(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write a report that contains the pixels of all views; return its folder."""
     out = tmp_path_factory.mktemp("report") / "page"
     with Library([dataset.parent / "library"]) as library:
-        result = write_report(dataset, out, ReportOptions(price_per_hour=2.0), library)
+        result = write_report(dataset, out, ReportOptions(cost=2.0), library)
     assert result.num_views == result.num_pixel_views == 10
     return out
 
@@ -364,17 +363,17 @@ def test_a_second_report_reuses_the_counts(report: Path, dataset: Path, tmp_path
     shutil.copytree(report, out)
     tile = out / "tiles" / "small-00000" / "view-000" / "beauty.html"
     before = tile.stat().st_mtime_ns
-    write_report(dataset, out, ReportOptions(with_verify=False))
+    write_report(dataset, out, ReportOptions(check=False))
     assert tile.stat().st_mtime_ns == before
     assert read_script(out / "data" / "summary.js", "summary")["findings"]["is_checked"] is False
     kept = out / "gathered" / "small-00000.json"
     kept.write_text(kept.read_text()[:100])  # as after a crash of the file system
-    write_report(dataset, out, ReportOptions(with_verify=False))
+    write_report(dataset, out, ReportOptions(check=False))
     assert tile.stat().st_mtime_ns > before
 
 
 def test_views_without_pixels_have_thumbnails_only(dataset: Path, tmp_path: Path) -> None:
-    options = ReportOptions(max_pixel_views=5, with_sources=False, with_verify=False)
+    options = ReportOptions(pixels="5", sources=False, check=False)
     result = write_report(dataset, tmp_path / "page", options)
     assert result.num_pixel_views == 5
     assert [p.name for p in (tmp_path / "page" / "tiles").iterdir()] == ["small-00000"]
@@ -387,7 +386,7 @@ def test_a_damaged_shard_is_named_and_omitted(dataset: Path, tmp_path: Path) -> 
     shutil.copytree(dataset, copy)
     shard = copy / Dataset(copy).index.shards[0].file
     shard.write_bytes(shard.read_bytes()[:5000])
-    result = write_report(copy, tmp_path / "page", ReportOptions(with_sources=False))
+    result = write_report(copy, tmp_path / "page", ReportOptions(sources=False))
     summed = read_script(tmp_path / "page" / "data" / "summary.js", "summary")
     assert result.num_views == 5 and result.num_faults
     assert [file for file, _ in summed["unreadable"]] == [f"shards/{shard.name}"]
@@ -427,8 +426,8 @@ def test_wrong_folders_and_options_are_refused(dataset: Path, tmp_path: Path) ->
     with pytest.raises(InputError, match="no such file"):
         write_report(tmp_path / "nothing", tmp_path / "page", ReportOptions())
     with pytest.raises(InputError, match="--pixels"):
-        parse_pixels("many")
-    assert parse_pixels("all") is None and parse_pixels("12") == 12
+        assert ReportOptions(pixels="many").max_pixel_views is None
+    assert [ReportOptions(pixels=p).max_pixel_views for p in ("all", "12")] == [None, 12]
 
 
 def test_a_dataset_without_shards_is_refused(tmp_path: Path) -> None:
@@ -468,8 +467,8 @@ def compared(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
     for path in (good / "small-00001").glob("*.exr"):
         path.rename(path.parent / "views" / path.name)
     out = root / "page"
-    methods = parse_methods([good, bad], ["ours"])
-    result = write_report(dataset, out, ReportOptions(with_verify=False, predictions=methods))
+    options = ReportOptions(check=False, predictions=(good, bad), label=("ours",))
+    result = write_report(dataset, out, options)
     assert result.predicted == {"ours": (10, 0), "B & W": (9, 4)}
     return out, good, bad
 
@@ -521,11 +520,11 @@ def test_methods_are_updated(compared: tuple[Path, Path, Path], dataset: Path, t
     shutil.copytree(out, copy)
     tile = copy / "tiles" / "predictions" / "ours" / "small-00000" / "view-000" / "roughness.html"
     before = tile.stat().st_mtime_ns
-    options = ReportOptions(with_verify=False, predictions=parse_methods([good], ["ours"]))
+    options = ReportOptions(check=False, predictions=(good,), label=("ours",))
     write_report(dataset, copy, options)
     assert tile.stat().st_mtime_ns == before  # unchanged predictions are not compared again
     assert [p.name for p in (copy / "tiles" / "predictions").iterdir()] == ["ours"]
-    write_report(dataset, copy, ReportOptions(with_verify=False))
+    write_report(dataset, copy, ReportOptions(check=False))
     assert read_script(copy / "data" / "predictions.js", "predictions")["methods"] == []
     assert not tile.exists()
 

@@ -24,7 +24,7 @@ from functools import partial
 from importlib.resources import files
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import quote
 
 from datagen.farm.folder import DatasetFolder, library_of, rooms_of
@@ -42,29 +42,15 @@ from datagen.inspection.verify import verify_dataset
 from datagen.library import Library
 from datagen.multiview.visibility import VisibilityOptions
 
+if TYPE_CHECKING:
+    from datagen.inspection.commands import ReportOptions
+
 PAGE_FILES = (
     "index.html", "report.css", "store.js", "charts.js", "overview.js", "compare.js", "gallery.js",
     "panels.js", "viewer.js", "sources.js", "main.js",
 )  # fmt: skip
 _LABELS = {name: label.replace("  ", ", ") for name, label in COLUMNS}
 _LABELS["observation_count"] = "observation count"
-
-
-@dataclass(frozen=True)
-class ReportOptions:
-    """Options of a report.
-
-    ``max_pixel_views`` limits the number of views with pixels for the viewer, by whole configurations (None:
-    all). ``with_sources`` also writes the source views of every pixel. ``price_per_hour`` is the price of a
-    unit's resources, 0 if unknown. ``predictions`` are compared with the ground truth.
-    """
-
-    max_pixel_views: int | None = 400
-    with_sources: bool = True
-    with_verify: bool = True
-    price_per_hour: float = 0.0
-    workers: int = 1
-    predictions: tuple[Method, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -125,20 +111,20 @@ def write_report(
     ``progress(stage, done, total)`` counts shards. Raises :class:`InputError` if the folder has no index,
     ``out`` contains other files, there is no readable shard, or source views are requested without LLVM.
     """
-    index = Dataset(folder).index
+    index, methods = Dataset(folder).index, options.methods
     if not index.shards:
         remedy = "render the plan first: datagen run"
         raise input_error(folder / INDEX_FILE, "", "no shards", "at least one", remedy)
     _check_out(out)
     out.mkdir(parents=True, exist_ok=True)
     found = None
-    if options.with_verify:
+    if options.check:
         found = verify_dataset(folder, library, options.workers, partial(progress, "verify"))
     worst = summary.findings(found, index, [])["views"]
-    first = [w["configuration"] for w in worst] + predicted_configurations(index, options.predictions)
+    first = [w["configuration"] for w in worst] + predicted_configurations(index, methods)
     chosen = choose_configurations(index, options.max_pixel_views, first)
     jobs = [
-        GatherJob(folder / shard.file, shard, out, shard.configuration in chosen, options.with_sources)
+        GatherJob(folder / shard.file, shard, out, shard.configuration in chosen, options.sources)
         for shard in index.shards
     ]
     gathered, unreadable = _run_jobs(jobs, gather_shard, "figures", options.workers, progress)
@@ -147,13 +133,13 @@ def write_report(
     damaged = {job.shard for job, _ in unreadable}
     pairs = [
         CompareJob(job.shard, job.record, out, method, job.with_pixels)
-        for method in options.predictions
+        for method in methods
         for job in jobs
         if job.shard not in damaged and method.covers(job.record.configuration)
     ]
-    _remove_other_methods(out, options.predictions)
+    _remove_other_methods(out, methods)
     compared, _ = _run_jobs(pairs, compare_shard, "predictions", options.workers, progress)
-    predictions = prediction_table(options.predictions, compared, gathered)
+    predictions = prediction_table(methods, compared, gathered)
     data = {
         **_head(index, folder),
         "sheets": _sheets(index, folder, out),
@@ -161,7 +147,7 @@ def write_report(
         "coverage": summary.coverage(gathered),
         "assets": summary.assets(gathered, index, library),
         "splits": summary.splits(index),
-        "effort": summary.effort(DatasetFolder(folder), index, options.price_per_hour),
+        "effort": summary.effort(DatasetFolder(folder), index, options.cost),
         "findings": summary.findings(found, index, gathered),
         "unreadable": [[job.record.file, str(error)] for job, error in unreadable],
     }
@@ -299,15 +285,6 @@ def _write_script(path: Path, name: str, data: dict[str, Any]) -> None:
     write_bytes_atomically(path, f"REPORT.{name} = {text};\n".encode())
 
 
-def parse_pixels(text: str) -> int | None:
-    """Parse ``--pixels``: a number of views, or None for "all". Raises :class:`InputError` otherwise."""
-    if text == "all":
-        return None
-    if not text.isdecimal():
-        raise input_error("--pixels", "", repr(text), 'a number of views, or "all"', "correct it")
-    return int(text)
-
-
 def report_command(
     folder: Path,
     out: Path | None,
@@ -319,10 +296,11 @@ def report_command(
 
     Raises :class:`InputError` if the disk has too little space, or for the reasons of :func:`write_report`.
     """
+    methods, max_views = options.methods, options.max_pixel_views
     index = Dataset(folder).index
     target = out if out is not None else folder / "report"
-    first = predicted_configurations(index, options.predictions)
-    chosen = choose_configurations(index, options.max_pixel_views, first)
+    first = predicted_configurations(index, methods)
+    chosen = choose_configurations(index, max_views, first)
     num_bytes = estimate_tile_bytes(index, chosen)
     num_views = sum(shard.num_views for shard in index.shards if shard.configuration in chosen)
     print(
