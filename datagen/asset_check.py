@@ -26,7 +26,7 @@ from datagen.formats.category_sizes import size_fault
 from datagen.formats.degenerate_shapes import degenerate_problems, has_area
 from datagen.formats.lights import DirectionalLight, EnvironmentLight, Light, SkyLight, SpotLight
 from datagen.formats.package import Package
-from datagen.foundation.errors import InputError, Problem, raise_problems
+from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.images import MAX_IMAGE_SIDE_PX, read_image, read_radiance
 from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, lying_normals
 from datagen.foundation.meshes.ply import decode_ply
@@ -42,14 +42,6 @@ class CheckReport:
     errors: tuple[Problem, ...]
     warnings: tuple[Problem, ...]
     num_packages: int = 1
-
-    @property
-    def is_usable(self) -> bool:
-        return not self.errors
-
-    def raise_errors(self) -> None:
-        """Raise :class:`InputError` with all errors."""
-        raise_problems(self.errors)
 
 
 class _Checker:

@@ -10,11 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from datagen.foundation.errors import input_error
 
-Z_UP_FROM_Y_UP = np.array(
-    [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-)
-"""Rotation from +Y up to +Z up: (x, y, z) becomes (x, -z, y)."""
-
 
 def asset_from_source(up: Literal["y", "z"], unit_scale: float) -> NDArray[np.float64]:
     """Return the (4, 4) transform to metres with Z up from a file with ``unit_scale`` metres per unit.
@@ -23,9 +18,7 @@ def asset_from_source(up: Literal["y", "z"], unit_scale: float) -> NDArray[np.fl
     """
     if not (np.isfinite(unit_scale) and unit_scale > 0):
         raise input_error("unit scale", got=unit_scale, expected="a positive number of metres per unit")
-    scale = np.diag([unit_scale, unit_scale, unit_scale, 1.0])
-    matrix: NDArray[np.float64] = scale @ (Z_UP_FROM_Y_UP if up == "y" else np.eye(4))
-    return matrix
+    return affine(unit_scale * (Z_UP_FROM_Y_UP if up == "y" else np.eye(4))[:3, :3])
 
 
 def affine(linear: ArrayLike, offset: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[np.float64]:
@@ -33,6 +26,10 @@ def affine(linear: ArrayLike, offset: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[np
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = linear, offset
     return matrix
+
+
+Z_UP_FROM_Y_UP = affine([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+"""Rotation from +Y up to +Z up: (x, y, z) becomes (x, -z, y)."""
 
 
 def unit_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -14,6 +14,7 @@ from datagen.asset_check import check_package
 from datagen.formats.asset import MaterialAsset, ObjectAsset, PanoramaAsset
 from datagen.formats.base import canonical_json
 from datagen.formats.package import AnyAsset, FileSource, Package, write_package
+from datagen.foundation.errors import raise_problems
 from datagen.foundation.findings import Findings
 from datagen.importers.common import ImportedAsset, ImportOptions
 
@@ -37,7 +38,7 @@ def finish(
 
     def validate(package: Package) -> None:
         report = check_package(package)
-        report.raise_errors()
+        raise_problems(report.errors)
         warnings.extend(f"{problem.field}: {problem.got}" for problem in report.warnings)
 
     path = folder / (f"{asset.id}.zip" if options.as_zip else asset.id)

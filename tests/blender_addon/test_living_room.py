@@ -30,7 +30,7 @@ def rendered(
 
 def test_both_renderers_show_the_same_room(rendered: tuple[Path, np.ndarray, np.ndarray]) -> None:
     package, cycles, mitsuba = rendered
-    assert check_package(open_package(package)).is_usable
+    assert not check_package(open_package(package)).errors
     found = figures(cycles, mitsuba)
     assert found["psnr_srgb_of_blocks_db"] > FLOOR_DB, found
     assert found["mean_ratio"] == pytest.approx(1, abs=0.03), found
