@@ -243,8 +243,8 @@ class _LocalRun:
         self.summary.failures.append(record)
         # the summary contains the record even if a full disk prevents writing it
         with suppress(OSError):
-            self.folder.failed_path.mkdir(exist_ok=True)
-            write_bytes_atomically(self.folder.failed_path / f"{unit.id}.json", canonical_json(record))
+            path = self.folder.failed_path / f"{unit.id}.json"
+            write_bytes_atomically(path, canonical_json(record), parents=True)
         self.on_event(("set_aside", unit.id, reason, used, self.options.attempts))
 
 

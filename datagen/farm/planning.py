@@ -59,9 +59,7 @@ def _assemble_one(recipe: Recipe, library_paths: tuple[Path, ...], folder: Datas
     configuration = assemble(recipe, index, _opened(library_paths))
     room = room_of(recipe, configuration, NUM_TRIES)
     if room is not None:
-        path = folder.room_path(room.package.id)
-        path.parent.mkdir(exist_ok=True)
-        write_bytes_atomically(path, room.data)
+        write_bytes_atomically(folder.room_path(room.package.id), room.data, parents=True)
     write_bytes_atomically(folder.configuration_path(configuration.id), canonical_json(configuration))
 
 

@@ -239,8 +239,13 @@ def sha256_file(path: Path) -> str:
     return digest.hexdigest()
 
 
-def write_bytes_atomically(path: Path, data: bytes) -> None:
-    """Write a file atomically, also in a power failure: write, flush and rename a temporary file."""
+def write_bytes_atomically(path: Path, data: bytes, *, parents: bool = False) -> None:
+    """Write a file atomically, also in a power failure: write, flush and rename a temporary file.
+
+    ``parents``: create missing folders first.
+    """
+    if parents:
+        path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         temporary.write_bytes(data)

@@ -255,10 +255,9 @@ def write_dataset_sheets(folder: Path, progress: Advance = no_advance) -> list[P
         if path.is_file() and path.stat().st_mtime >= shard.stat().st_mtime:
             continue
         progress(number - 1, len(finished))
-        sheets.mkdir(parents=True, exist_ok=True)
         stream = io.BytesIO()
         shard_sheet(shard).save(stream, format="PNG", optimize=True)
-        write_bytes_atomically(path, stream.getvalue())
+        write_bytes_atomically(path, stream.getvalue(), parents=True)
         written.append(path)
         progress(number, len(finished))
     return written

@@ -31,7 +31,7 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.images import shown_bytes
 from datagen.inspection.contact_sheet import COLUMNS
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, count_metal_and_gloss, count_view
-from datagen.inspection.report.tiles import write_tile
+from datagen.inspection.report.tiles import write_script, write_tile
 from datagen.multiview.statistics import StatisticsOptions, StatisticsView, choose_for_pixels
 from datagen.multiview.visibility import PackedViews, VisibilityOptions
 from mitsuba_plugins.variant import select_variant
@@ -79,8 +79,7 @@ def kept(work: Callable[[Any], dict[str, Any]]) -> Callable[[Any], dict[str, Any
             if isinstance(earlier, dict) and earlier.get("key") == key:
                 return earlier
         result = {"key": key, **work(job)}
-        job.kept_path.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes_atomically(job.kept_path, canonical_json(result))
+        write_bytes_atomically(job.kept_path, canonical_json(result), parents=True)
         return result
 
     return result_of
@@ -199,8 +198,7 @@ def _write_thumbnail(path: Path, view: View) -> None:
     screen = shown_bytes(beauty, exposure)
     stream = io.BytesIO()
     Image.fromarray(screen).resize(size, Image.Resampling.BOX).save(stream, "JPEG", quality=82)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_bytes_atomically(path, stream.getvalue())
+    write_bytes_atomically(path, stream.getvalue(), parents=True)
 
 
 def _write_tiles(folder: Path, view: View) -> int:
@@ -276,6 +274,4 @@ def _write_configuration(path: Path, configuration: Configuration, records: list
             }
         )
     data = {"id": configuration.id, "views": views, "names": tables}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(data, separators=(",", ":"), sort_keys=True)
-    write_bytes_atomically(path, f"REPORT.configuration({text});\n".encode())
+    write_script(path, "configuration(", data, ");")

@@ -16,6 +16,7 @@ import zlib
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,11 @@ def write_tile(path: Path, key: str, array: NDArray) -> int:
     text = base64.b64encode(encode_tile(array)).decode()
     page = _template().replace("HEAD", json.dumps(head, separators=(",", ":")), 1)
     content = page.replace("BYTES", text, 1).encode()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_bytes_atomically(path, content)
+    write_bytes_atomically(path, content, parents=True)
     return len(content)
+
+
+def write_script(path: Path, before: str, data: dict[str, Any], after: str = ";") -> None:
+    """Write a script of the page: ``REPORT.``, ``before``, ``data`` as JSON, and ``after``."""
+    text = json.dumps(data, separators=(",", ":"), sort_keys=True, allow_nan=False)
+    write_bytes_atomically(path, f"REPORT.{before}{text}{after}\n".encode(), parents=True)

@@ -13,7 +13,6 @@ gathered/<id>.json            stored counts, reused by the next report
 
 from __future__ import annotations
 
-import json
 import shutil
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -38,6 +37,7 @@ from datagen.inspection.contact_sheet import COLUMNS
 from datagen.inspection.report import summary
 from datagen.inspection.report.gather import SHOWN_BUFFERS, GatherJob, gather_shard
 from datagen.inspection.report.predictions import TILES, CompareJob, Method, compare_shard, prediction_table
+from datagen.inspection.report.tiles import write_script
 from datagen.inspection.verify import verify_dataset
 from datagen.library import Library
 from datagen.multiview.visibility import VisibilityOptions
@@ -151,9 +151,8 @@ def write_report(
         "findings": summary.findings(found, index, gathered),
         "unreadable": [[job.record.file, str(error)] for job, error in unreadable],
     }
-    _write_script(out / "data" / "summary.js", "summary", data)
-    _write_script(out / "data" / "views.js", "views", view_table(gathered))
-    _write_script(out / "data" / "predictions.js", "predictions", predictions)
+    for name, content in (("summary", data), ("views", view_table(gathered)), ("predictions", predictions)):
+        write_script(out / "data" / f"{name}.js", f"{name} = ", content)
     page = files("datagen.inspection.report") / "page"
     for name in PAGE_FILES:
         write_bytes_atomically(out / name, (page / name).read_bytes())
@@ -277,12 +276,6 @@ def view_table(gathered: Iterable[dict[str, Any]]) -> dict[str, Any]:
         configurations.append([shard["id"], shard["split"], shard["has_pixels"]])
         rows += [[number, *(view[name] for name in VIEW_COLUMNS)] for view in shard["views"]]
     return {"configurations": configurations, "columns": ["configuration", *VIEW_COLUMNS], "rows": rows}
-
-
-def _write_script(path: Path, name: str, data: dict[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(data, separators=(",", ":"), sort_keys=True, allow_nan=False)
-    write_bytes_atomically(path, f"REPORT.{name} = {text};\n".encode())
 
 
 def report_command(
