@@ -145,7 +145,7 @@ def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
     return []
 
 
-def check_statistics(view: View, max_views: int, has_own: bool, where: str) -> list[Fault]:
+def check_statistics(view: View, max_views: int, has_own: bool, where: str) -> Iterator[Fault]:
     """Find statistics out of order, wrong counts, and wrong statistics of pixels with count 0.
 
     Counts must be 0 on background, at most ``max_views``, and, if ``has_own`` (the statistics of a pixel
@@ -153,25 +153,22 @@ def check_statistics(view: View, max_views: int, has_own: bool, where: str) -> l
     """
     low, middle, high = (view[f"color_{n}"].astype(np.float32) for n in ("min", "median", "max"))
     count = view["observation_count"][..., 0]
-    faults = []
-
-    def add(bad: NDArray, what: str, expected: str) -> None:
-        if bad.any():
-            got = f"{int(bad.sum())} pixels {what}, {_first(bad)}"
-            faults.append(Fault("statistics", where, got, expected))
-
+    own = view["beauty"].astype(np.float32)
     with np.errstate(invalid="ignore"):
-        add(((low > middle) | (middle > high)).any(axis=-1), "out of order", "min <= median <= max")
         is_surface = (view["depth_z_m"][..., 0] > 0) & (view["surface_mask"][..., 0] >= 0.5)
-        if has_own:
-            add(is_surface & ~(count > 0), "of surface with count 0", "at least the view itself")
         is_empty = view["depth_z_m"][..., 0] == 0
-        add(is_empty & (count > 0), "of background with a count", "count 0")
-        add(count > max_views, f"with a count over {max_views}", f"at most {max_views}")
-        own = view["beauty"].astype(np.float32)
         differs = (np.abs(low - own) + np.abs(high - own)).max(axis=-1) > 1e-3 * np.abs(own).max(axis=-1)
-        add((count == 0) & differs, "without observations differ from their own colour", "their own colour")
-    return faults
+        disorder = ((low > middle) | (middle > high)).any(axis=-1)
+        masks = (
+            (disorder, "out of order", "min <= median <= max"),
+            (has_own & is_surface & ~(count > 0), "of surface with count 0", "at least the view itself"),
+            (is_empty & (count > 0), "of background with a count", "count 0"),
+            (count > max_views, f"with a count over {max_views}", f"at most {max_views}"),
+            ((count == 0) & differs, "without observations differ from their own colour", "their own colour"),
+        )
+    for bad, what, expected in masks:
+        if bad.any():
+            yield Fault("statistics", where, f"{int(bad.sum())} pixels {what}, {_first(bad)}", expected)
 
 
 def roughness_ranges(view: View) -> dict[int, tuple[int, float, float]]:

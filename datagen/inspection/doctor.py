@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -95,19 +96,8 @@ def examine() -> list[Finding]:
         findings += [_package(name, False, remedy) for name in names]
     findings.append(checkpoint_finding())
     findings += [program_finding(title, *details) for title, details in PROGRAMS.items()]
-    try:
-        variant = resolve_variant()
-        findings.append(Finding("variant", variant, True, True))
-    except InputError as error:
-        variant = ""
-        findings.append(Finding("variant", *_failed(error)))
-    try:
-        llvm = choose_llvm()
-        findings.append(Finding("LLVM", f"{llvm.major} ({llvm.path})", True, variant == CPU_VARIANT))
-    except InputError as error:
-        found, is_fine, _, remedy = _failed(error)
-        findings.append(Finding("LLVM", found, is_fine, variant == CPU_VARIANT, remedy))
-    findings.append(gpu_finding())
+    variant = _tried("variant", resolve_variant, True)
+    findings += [variant, _tried("LLVM", _llvm, variant.value == CPU_VARIANT), gpu_finding()]
     findings.append(Finding("processors", str(os.cpu_count()), True, False))
     if all(f.is_fine for f in findings if f.is_required):
         findings.append(_probe("rendering", _RENDER_PROBE, f"read the message; {REMEDY}"))
@@ -117,10 +107,19 @@ def examine() -> list[Finding]:
     return [*findings, Finding("free disk", f"{free_gb:.1f} GB", free_gb >= MIN_FREE_GB, True, remedy)]
 
 
-def _failed(error: InputError) -> tuple[str, bool, bool, str]:
-    """Fields of the finding for a failed check: value, is_fine, is_required and remedy."""
-    (problem,) = error.problems
-    return f"{problem.got}; expected {problem.expected}", False, True, problem.remedy
+def _tried(name: str, look_up: Callable[[], str], is_required: bool) -> Finding:
+    """The finding of a function that raises :class:`InputError` if it finds nothing."""
+    try:
+        return Finding(name, look_up(), True, is_required)
+    except InputError as error:
+        (problem,) = error.problems
+        found = f"{problem.got}; expected {problem.expected}"
+        return Finding(name, found, False, is_required, problem.remedy)
+
+
+def _llvm() -> str:
+    llvm = choose_llvm()
+    return f"{llvm.major} ({llvm.path})"
 
 
 def bundled_finding() -> Finding:
