@@ -76,10 +76,10 @@ class _ShellTemplate(Template):
 
 
 def shell_script(template: str, root: Path, options: SlurmOptions, **values: object) -> str:
-    """Text of a file in ``scripts/`` with ``@{...}`` replaced by ``values``, the fields of ``options``, the
+    """Text of a file in ``templates/`` with ``@{...}`` replaced by ``values``, the fields of ``options``, the
     folder's ``name``, the result of :func:`with_setup` and the exit code of interrupted units.
     """
-    text = (files("datagen.farm") / "scripts" / template).read_text(encoding="utf-8")
+    text = (files("datagen.farm") / "templates" / template).read_text(encoding="utf-8")
     shared = {**vars(options), "interrupted": EXIT_INTERRUPTED, "setup": with_setup(options, root)}
     return _ShellTemplate(text).substitute({**shared, "name": root.resolve().name, **values})
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import re
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,19 +18,6 @@ recipe = typer.Typer(
     name="recipe", help="Recipes: descriptions of datasets.", no_args_is_help=True, rich_markup_mode=None
 )
 SCHEMA_FILE = "recipe.schema.json"
-_TEXT = """\
-# yaml-language-server: $schema={schema}
-# {images} images. To list all keys of a recipe: datagen run {file} --out DATASET --dry-run
-format: scene-materials/recipe
-version: 1
-name: {name}
-seed: {seed}
-configurations: {configurations}  # rooms, each with its own objects, materials and lights
-views: {views}  # cameras per configuration
-resolution: [{width}, {height}]
-library: [bundled]  # folders of assets, relative to this file
-render: {{quality: {quality}}}  # draft, standard or reference
-"""
 
 
 @recipe.callback()
@@ -82,7 +70,8 @@ def write_recipe(
     size = re.fullmatch(r"\s*(\d{1,6})\s*[x×, ]\s*(\d{1,6})\s*", resolution)
     if size is None:
         raise input_error("--resolution", "", resolution, "WIDTHxHEIGHT, such as 320x192", "correct it")
-    text = _TEXT.format(
+    template = files("datagen.farm") / "templates" / "recipe.yaml"
+    text = template.read_text(encoding="utf-8").format(
         schema=SCHEMA_FILE,
         images=f"{configurations * views:,}",
         file=file.name,
