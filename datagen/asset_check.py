@@ -83,12 +83,8 @@ class _Checker:
             expected = f"finite pixels, at most {MAX_IMAGE_SIDE_PX} per side"
             self.error(field, f"{texture.texture!r}: {fault}", expected, "replace the image")
             return
-        needed = {"rgb": 1, "r": 1, "g": 2, "b": 3, "a": 4}[texture.channel]
-        if (
-            channels < needed
-            and not (channels == 1 and texture.channel in "rgb")
-            and not (channels == 2 and texture.channel == "a")
-        ):
+        stored = {1: "rgb", 2: "rga", 3: "rgb"}.get(channels, "rgba")  # grey serves as every colour
+        if texture.channel != "rgb" and texture.channel not in stored:
             self.error(f"{field}.channel", repr(texture.channel), f"one of the image's {channels} channels")
         if texture.encoding == "srgb" and texture.texture.lower().endswith(".exr"):
             self.error(f"{field}.encoding", "'srgb'", "'linear', as in all EXR files")
@@ -138,18 +134,16 @@ class _Checker:
             self.error(name, "triangles of zero area only", "a mesh with a surface")
         if faults.is_unusable:
             return None
-        if faults.degenerate:
-            self.warn(name, f"{faults.degenerate} of {faults.total} triangles have no area", "none")
-        if faults.zero_normals:
-            self.warn(name, f"{faults.zero_normals} zero normals", "unit normals")
         num_tangent = int(lying_normals(mesh).sum())
-        if num_tangent:
-            self.warn(name, f"{num_tangent} normals are tangent to their surface", "perpendicular normals")
-        if faults.non_manifold_edges:
-            expected = "at most two triangles at an edge"
-            self.warn(name, f"{faults.non_manifold_edges} non-manifold edges", expected)
-        if faults.inconsistent_edges:
-            self.warn(name, f"{faults.inconsistent_edges} edges between flipped triangles", "one orientation")
+        for count, what, expected in (
+            (faults.degenerate, f"of {faults.total} triangles have no area", "none"),
+            (faults.zero_normals, "zero normals", "unit normals"),
+            (num_tangent, "normals are tangent to their surface", "perpendicular normals"),
+            (faults.non_manifold_edges, "non-manifold edges", "at most two triangles at an edge"),
+            (faults.inconsistent_edges, "edges between flipped triangles", "one orientation"),
+        ):
+            if count:
+                self.warn(name, f"{count} {what}", expected)
         return mesh
 
     def check_bounds(self, asset: ObjectAsset, meshes: dict[str, Mesh | None]) -> None:

@@ -182,7 +182,7 @@ def _open_library(recipe: Recipe, base: Path) -> Library:
 def plan_recipe(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
     """Plan ``recipe`` into ``out`` and print a summary; its paths are relative to the folder ``base``."""
     from datagen.farm.planning import create_plan, read_configurations
-    from datagen.inspection.plan_summary import plan_summary
+    from datagen.inspection.report.summary import plan_summary
 
     def tell(note: str) -> None:
         typer.echo(f"note: {note}", err=True)

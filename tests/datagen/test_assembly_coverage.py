@@ -19,7 +19,7 @@ from datagen.formats.base import read_json
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import CameraRecipe, ObjectRecipe, Recipe
 from datagen.foundation.cameras import Camera, look_at
-from datagen.inspection.plan_summary import plan_summary
+from datagen.inspection.report.summary import plan_summary
 from datagen.library import Library
 from tests.datagen.small_library import write_small_library
 
