@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import os
 import stat
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -196,15 +197,13 @@ class DatasetFolder:
 
     def finished(self, unit: PlannedUnit) -> UnitManifest | None:
         """Return the unit's manifest if it exists and its shard has the recorded size, else None."""
-        try:
+        with suppress(InputError, OSError):
             manifest = self.read_manifest(unit)
-            if manifest is None:
-                return None
-            status = (self.root / manifest.shard).lstat()
-        except (InputError, OSError):
-            return None
-        is_whole = stat.S_ISREG(status.st_mode) and status.st_size == manifest.num_bytes
-        return manifest if is_whole else None
+            if manifest is not None:
+                status = (self.root / manifest.shard).lstat()
+                if stat.S_ISREG(status.st_mode) and status.st_size == manifest.num_bytes:
+                    return manifest
+        return None
 
     def is_done(self, unit: PlannedUnit) -> bool:
         return self.finished(unit) is not None

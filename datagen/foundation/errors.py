@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -38,17 +39,12 @@ def _reworded_if_empty(problem: Problem) -> Problem:
     """Return ``problem``, reworded if its file is empty, which parsers report as a syntax error."""
     if isinstance(problem, str):  # torch rebuilds a worker's error from its text
         return problem
-    try:
-        is_empty = (
-            isinstance(problem.where, Path)
-            and not problem.field
-            and problem.where.is_file()
-            and problem.where.stat().st_size == 0
-        )
-    except (OSError, ValueError):
-        return problem
-    remedy = problem.remedy or "copy or export it again"
-    return replace(problem, got="an empty file", remedy=remedy) if is_empty else problem
+    with suppress(OSError, ValueError):
+        where = problem.where
+        if isinstance(where, Path) and not problem.field and where.is_file() and where.stat().st_size == 0:
+            remedy = problem.remedy or "copy or export it again"
+            return replace(problem, got="an empty file", remedy=remedy)
+    return problem
 
 
 class InputError(ValueError):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Combines statistics of all shards into the sections of the report, as plain data, and those of plans."""
+"""Combines statistics of shards into the sections of the report, as plain data, and summarises plans."""
 
 from __future__ import annotations
 
