@@ -50,7 +50,7 @@ class Engine(Protocol):
 
     def send(self, script: Path, after: Sequence[str]) -> str:
         """Submit a script that starts when the jobs with ids ``after`` have ended; return its job id."""
-        raise NotImplementedError(self.program)
+        raise input_error(script, got="a list of commands", expected="a queue that accepts it")
 
     def jobs(self, root: Path) -> list[str]:
         """Ids of the pending and running jobs of the dataset folder ``root``."""
@@ -58,6 +58,7 @@ class Engine(Protocol):
 
     def stop(self, root: Path, ids: Sequence[str]) -> None:
         """Cancel the jobs ``ids`` of the dataset folder ``root``."""
+        return
 
 
 def job_name(root: Path) -> str:
