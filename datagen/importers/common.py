@@ -10,13 +10,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from datagen.formats.asset import MaterialClass, Part, Provenance
+from datagen.formats.asset import MaterialClass, Part, Provenance, SlotMaterial
 from datagen.formats.base import IDENTITY4, Matrix4, Positive, Slug, quantized
-from datagen.foundation.budget import Limits
-from datagen.foundation.errors import input_error
+from datagen.formats.package import FileSource
+from datagen.foundation.budget import Budget, Limits
+from datagen.foundation.errors import Problems, input_error
 from datagen.foundation.findings import Findings
 from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.paths import inside
+from datagen.importers.channels import ImageCache, TextureFiles
 
 EVALUATION_SCENES = {"veach-ajar": "Veach, Ajar", "dining-room": "The Breakfast Room"}
 """Titles of the test scenes of the reconstruction paper, by folder; they are ``evaluation_only``."""
@@ -78,6 +81,40 @@ class ImportOptions:
     def unit_m(self) -> float:
         """Metres per unit of the file: ``unit_scale`` or, by default, 1."""
         return 1.0 if self.unit_scale is None else self.unit_scale
+
+
+class ImportJob:
+    """The import of the source ``where``: its options and budget, findings, problems and textures.
+
+    ``findings`` and ``budget`` are those of an enclosing import, if any.
+    """
+
+    def __init__(
+        self,
+        where: str | Path,
+        options: ImportOptions,
+        findings: Findings | None = None,
+        budget: Budget | None = None,
+    ):
+        self.where, self.options, self.findings = where, options, findings or Findings()
+        self.budget = budget or Budget(where, options.limits)
+        self.problems = Problems(where)
+        self.cache = ImageCache(self.budget)
+        self.textures = TextureFiles(self.cache)
+
+    def contents(
+        self, pieces: Sequence[tuple[str, str, SlotMaterial, Mesh]]
+    ) -> tuple[tuple[Part, ...], dict[str, SlotMaterial], dict[str, FileSource]]:
+        """Return the parts, the materials by slot, and the files of an asset.
+
+        ``pieces`` are its parts as (name, slot, material, mesh in the asset's frame).
+        """
+        parts = tuple(part_of(name, slot, mesh) for name, slot, _, mesh in pieces)
+        materials = {slot: material for _, slot, material, _ in pieces}
+        used = {texture.texture for material in materials.values() for texture in material.textures()}
+        files = {name: self.textures.files[name] for name in sorted(used)}
+        files |= {part.mesh: encode_ply(mesh) for part, (*_, mesh) in zip(parts, pieces, strict=True)}
+        return parts, materials, files
 
 
 @dataclass(frozen=True)

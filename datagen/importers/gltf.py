@@ -13,13 +13,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from datagen.formats.asset import AssetCamera, EnvironmentAsset, ObjectAsset, Part, SlotMaterial
+from datagen.formats.asset import AssetCamera, EnvironmentAsset, ObjectAsset
 from datagen.formats.base import matrix4, quantized, vector3
 from datagen.formats.category_sizes import size_fault
 from datagen.formats.lights import DirectionalLight, Light, PointLight, SpotLight
-from datagen.foundation.axes import asset_from_source
+from datagen.foundation.axes import affine, asset_from_source
 from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, input_error, raise_problems
 from datagen.foundation.findings import Findings
@@ -33,12 +32,10 @@ from datagen.foundation.meshes.mesh import (
     with_sound_normals,
     without_degenerate,
 )
-from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.naming import slug, unique
 from datagen.importers import annotate
-from datagen.importers.channels import ImageCache, TextureFiles
 from datagen.importers.classes import guess_category, guess_supports
-from datagen.importers.common import ImportedAsset, ImportOptions, note_mended, part_of, provenance
+from datagen.importers.common import ImportedAsset, ImportJob, ImportOptions, note_mended, provenance
 from datagen.importers.gltf_materials import GltfMaterial, GltfMaterialConverter
 from datagen.importers.mitsuba_shapes import transformed_uv
 from datagen.importers.packaging import finish
@@ -80,7 +77,7 @@ def import_gltf(
     budget = Budget(origin or path, options.limits)
     try:
         with GltfFile(path, budget, options.allowed) as file:
-            importer = _GltfImporter(file, options, origin or path, findings or Findings())
+            importer = _GltfImporter(file, options, origin or path, findings)
             groups = importer.groups() if split else [importer.pieces]
             return [importer.write(group, out_library, is_alone=len(groups) == 1) for group in groups]
     except InputError as error:
@@ -90,12 +87,10 @@ def import_gltf(
         raise InputError(*moved) from None
 
 
-class _GltfImporter:
-    def __init__(self, file: GltfFile, options: ImportOptions, origin: Path, findings: Findings):
-        self.file, self.options, self.findings = file, options, findings
-        self.cache = ImageCache(file.budget)
-        self.textures = TextureFiles(self.cache)
-        self.materials = GltfMaterialConverter(file, options, self.findings, self.cache, self.textures)
+class _GltfImporter(ImportJob):
+    def __init__(self, file: GltfFile, options: ImportOptions, origin: Path, findings: Findings | None):
+        super().__init__(file.path, options, findings, file.budget)
+        self.file, self.materials = file, GltfMaterialConverter(file, self)
         up: Literal["y", "z"] = "z" if options.up == "z" else "y"
         self.asset_from_source = asset_from_source(up, options.unit_m)
         self.annotations = annotate.read_annotations(options.annotations)
@@ -106,7 +101,7 @@ class _GltfImporter:
         self.num_mended: list[int] = []  # number of replaced normals per primitive
         self.pieces = self._collect()
         note_mended(self.findings, self.num_mended)
-        raise_problems(self.materials.problems)
+        raise_problems(self.problems)
         if not self.pieces:
             raise file.error("meshes", "no triangles in the scene", "at least one mesh", "check the export")
 
@@ -230,34 +225,24 @@ class _GltfImporter:
             kind = "environment" if is_room else "object"
         if kind == "material":
             raise input_error(self.file.path, "kind", kind, "object or environment")
-        if kind == "object":
-            shift = np.array([-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]])
-            return self._write_object(pieces, name, title, shift, out_library)
-        return self._write_environment(pieces, name, title, out_library)
-
-    def _contents(
-        self, pieces: list[_Piece], shift: NDArray[np.float64]
-    ) -> tuple[tuple[Part, ...], dict[str, SlotMaterial], dict[str, Any], list[Mesh]]:
-        matrix = np.eye(4)
-        matrix[:3, 3] = shift
-        meshes = [piece.mesh.transformed(matrix) for piece in pieces]
-        parts = tuple(
-            part_of(piece.name, piece.material.slot, mesh) for piece, mesh in zip(pieces, meshes, strict=True)
+        is_object = kind == "object"
+        shift = [-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]] if is_object else [0.0, 0.0, 0.0]
+        meshes = [piece.mesh.transformed(affine(np.eye(3), shift)) for piece in pieces]
+        parts, slots, files = self.contents(
+            [
+                (p.name, slot := p.material.slot, self.annotations.corrected(slot, p.material.material), mesh)
+                for p, mesh in zip(pieces, meshes, strict=True)
+            ]
         )
-        materials = {piece.material.slot: piece.material.material for piece in pieces}
-        slots = {slot: self.annotations.corrected(slot, material) for slot, material in materials.items()}
-        used = {texture.texture for slot in slots.values() for texture in slot.textures()}
-        files: dict[str, Any] = {name: self.textures.files[name] for name in sorted(used)}
-        files.update({part.mesh: encode_ply(mesh) for part, mesh in zip(parts, meshes, strict=True)})
-        return parts, slots, files, meshes
+        fields = {"id": name, "title": title, "provenance": self.source, "materials": slots, "parts": parts}
+        asset = self._object(fields, meshes) if is_object else self._environment(fields, meshes)
+        return finish(asset, files, out_library / f"{kind}s", self.options, self.findings)
 
-    def _write_object(
-        self, pieces: list[_Piece], name: str, title: str, shift: NDArray[np.float64], out_library: Path
-    ) -> ImportedAsset:
-        parts, slots, files, meshes = self._contents(pieces, shift)
+    def _object(self, fields: dict[str, Any], meshes: list[Mesh]) -> ObjectAsset:
+        name = fields["id"]
         low = np.min([m.positions.min(axis=0) for m in meshes], axis=0)
         high = np.max([m.positions.max(axis=0) for m in meshes], axis=0)
-        category = self.options.category or guess_category(name, *(p.name for p in pieces))
+        category = self.options.category or guess_category(name, *(part.name for part in fields["parts"]))
         if not category:
             category = "other"
             self.findings.note(f"{name}: category unknown; give it with --category")
@@ -267,12 +252,8 @@ class _GltfImporter:
         if any(light.get("extensions", {}).get("KHR_lights_punctual") for light in self.file.items("nodes")):
             self.findings.approximate(f"{name}: lights of the file left out of the object")
         asset = ObjectAsset(
-            id=name,
-            title=title,
-            provenance=self.source,
+            **fields,
             category=category,
-            materials=slots,
-            parts=parts,
             minimum_m=(quantized(float(low[0]), 7), quantized(float(low[1]), 7), 0.0),
             maximum_m=vector3(high.astype(np.float64)),
             supports=guess_supports(category, float(size[2]), float(max(size[0], size[1]))),
@@ -280,13 +261,10 @@ class _GltfImporter:
         fault = size_fault(asset)
         if fault:
             self.findings.note(f"{name}: {fault}")
-        return finish(asset, files, out_library / "objects", self.options, self.findings)
+        return asset
 
-    def _write_environment(
-        self, pieces: list[_Piece], name: str, title: str, out_library: Path
-    ) -> ImportedAsset:
-        parts, slots, files, meshes = self._contents(pieces, np.zeros(3))
-        cameras = self._cameras()
+    def _environment(self, fields: dict[str, Any], meshes: list[Mesh]) -> EnvironmentAsset:
+        parts, slots, cameras = fields["parts"], fields["materials"], self._cameras()
         places = annotate.places_of_parts(meshes, parts, slots, cameras, self.findings)
         if places.camera_regions:
             region = places.camera_regions[0]
@@ -300,17 +278,12 @@ class _GltfImporter:
         ]
         openings = (annotate.opening_of(mesh, label, inside) for label, mesh in emitters)
         windows = tuple(o for o in openings if annotate.is_window_sized(o, _OPENING_AREA_M2))
-        asset = EnvironmentAsset(
-            id=name,
-            title=title,
-            provenance=self.source,
-            materials=slots,
-            parts=parts,
+        return EnvironmentAsset(
+            **fields,
             lights=tuple(self._lights()),
             cameras=cameras,
             **self.annotations.over(places, windows),
         )
-        return finish(asset, files, out_library / "environments", self.options, self.findings)
 
     def _cameras(self) -> tuple[AssetCamera, ...]:
         """Convert perspective cameras to images 720 pixels high, since glTF states no resolution."""

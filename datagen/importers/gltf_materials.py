@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.asset import SlotMaterial, Texture
-from datagen.foundation.errors import InputError, Problems
-from datagen.foundation.findings import Findings
+from datagen.foundation.errors import InputError
 from datagen.foundation.images import normalized
 from datagen.foundation.meshes.gltf import GltfFile
 from datagen.foundation.meshes.gltf_compressed import BASIS
@@ -21,13 +20,11 @@ from datagen.importers.channels import (
     ChannelName,
     Color,
     ColorValue,
-    ImageCache,
     ImageSource,
     ScalarValue,
-    TextureFiles,
 )
 from datagen.importers.classes import REPLACEABLE, guess_class
-from datagen.importers.common import OPAL_ALBEDO, RESTORE_IT, ImportOptions
+from datagen.importers.common import OPAL_ALBEDO, RESTORE_IT, ImportJob
 from datagen.importers.pbr import DEFAULT_F0, metallic_roughness
 
 _LEFT_OUT = (
@@ -51,17 +48,14 @@ class GltfMaterialConverter:
     """Converter of a glTF file's materials, which collects ``problems`` for the caller to raise."""
 
     file: GltfFile
-    options: ImportOptions
-    findings: Findings
-    cache: ImageCache
-    textures: TextureFiles
+    job: ImportJob
     _done: dict[int, GltfMaterial] = field(default_factory=dict)
     _uv_sets: set[int] = field(default_factory=set)
     _uv_matrices: list[NDArray[np.float64]] = field(default_factory=list)
     _notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.problems = Problems(self.file.path)
+        self.cache, self.textures, self.problems = self.job.cache, self.job.textures, self.job.problems
 
     def convert(self, index: int | None, *hints: str) -> GltfMaterial:
         """Convert material ``index`` (None: glTF's default); its name and ``hints`` determine its class."""
@@ -103,9 +97,9 @@ class GltfMaterialConverter:
         f0 = self._f0(extensions, name)
         diffuse, specular, rough = metallic_roughness(self.cache, slug(name), base, metal, rough, f0)
         if "occlusionTexture" in entry:
-            self.findings.note(f"{name}: occlusion map left out, since light is traced")
+            self.job.findings.note(f"{name}: occlusion map left out, since light is traced")
         emission = self._emission(entry, extensions, name)
-        classes = self.options.classes or (guess_class(name, *hints),)
+        classes = self.job.options.classes or (guess_class(name, *hints),)
         return SlotMaterial(
             classes=classes,
             diffuse_albedo=self.textures.color(diffuse),
@@ -119,7 +113,7 @@ class GltfMaterialConverter:
         )
 
     def _note(self, name: str, sentence: str) -> None:
-        self._notes.append(self.findings.approximate(f"{name}: {sentence}"))
+        self._notes.append(self.job.findings.approximate(f"{name}: {sentence}"))
 
     def _base(self, pbr: dict[str, Any], name: str) -> ColorValue:
         factor = _color(pbr.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3])
@@ -157,7 +151,7 @@ class GltfMaterialConverter:
         factor = float(extensions.get("KHR_materials_transmission", {}).get("transmissionFactor", 0.0))
         if factor <= 0:
             return base
-        if self.options.dielectric == "refuse" and name not in self.options.dielectric_as:
+        if self.job.options.dielectric == "refuse" and name not in self.job.options.dielectric_as:
             remedy = "import with --dielectric replace"
             self.problems.add(f"material {name!r}", f"transmission {factor:g}", "an opaque material", remedy)
             return base
@@ -234,7 +228,7 @@ class GltfMaterialConverter:
             self.problems += error.problems
             return None
         if not path.is_file():
-            if self.options.missing == "refuse":
+            if self.job.options.missing == "refuse":
                 got = f"{path.name!r} (no such file)"
                 self.problems.add(f"material {name!r}", got, "its image", RESTORE_IT)
             else:

@@ -12,22 +12,18 @@ from pathlib import Path
 import numpy as np
 
 from datagen.formats.asset import Material, MaterialAsset, MaterialClass, Texture
-from datagen.foundation.budget import Budget
 from datagen.foundation.errors import Problem, input_error, raise_problems
-from datagen.foundation.findings import Findings
 from datagen.foundation.images import encode_png
 from datagen.foundation.naming import slug
 from datagen.foundation.paths import fault_of
 from datagen.importers.channels import (
     ColorValue,
-    ImageCache,
     ImageSource,
     ScalarValue,
-    TextureFiles,
     encode_exr,
 )
 from datagen.importers.classes import guess_class
-from datagen.importers.common import ImportedAsset, ImportOptions, provenance
+from datagen.importers.common import ImportedAsset, ImportJob, ImportOptions, provenance
 from datagen.importers.packaging import finish
 from datagen.importers.pbr import green_points_up, metallic_roughness
 
@@ -91,16 +87,12 @@ def import_material_folder(
     return _MaterialImporter(folder, options or ImportOptions()).run(out_library)
 
 
-class _MaterialImporter:
+class _MaterialImporter(ImportJob):
     def __init__(self, folder: Path, options: ImportOptions):
         if not folder.is_dir():
             raise input_error(folder, "", "no such folder", "a folder of textures", "check the path")
-        self.folder, self.options = folder, options
-        self.findings = Findings()
-        self.cache = ImageCache(Budget(folder, options.limits))
-        self.textures = TextureFiles(self.cache)
-        self.maps = find_maps(folder)
-        self.problems: list[Problem] = []
+        super().__init__(folder, options)
+        self.folder, self.maps = folder, find_maps(folder)
 
     def one(self, role: str) -> Path | None:
         """Return the image of a role, or None; forbidden or multiple images are recorded as problems."""
@@ -116,7 +108,7 @@ class _MaterialImporter:
         if len(found) > 1:
             names = ", ".join(p.name for p in found)
             expected = "one image; put each resolution into a separate folder"
-            self.problems.append(Problem(self.folder, role, names, expected, "remove the others"))
+            self.problems.add(role, names, expected, "remove the others")
         return found[0] if found else None
 
     def run(self, out_library: Path) -> ImportedAsset:
@@ -124,7 +116,7 @@ class _MaterialImporter:
         color = self.one("color")
         if "color" not in self.maps:
             expected = "a colour map (..._Color, ..._diff)"
-            self.problems.append(Problem(self.folder, "color", "none", expected, "check the folder"))
+            self.problems.add("color", "none", expected, "check the folder")
         (roughness, metallic), normal, opacity = self.scalars(), self.normal(), self.one("opacity")
         raise_problems(self.problems)
         assert color is not None

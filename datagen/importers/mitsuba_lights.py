@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +25,10 @@ from datagen.formats.lights import (
     SpotLight,
 )
 from datagen.formats.mitsuba.scene import SceneNode
-from datagen.foundation.axes import unit_vector
+from datagen.foundation.axes import affine, unit_vector
 from datagen.foundation.errors import Problems
-from datagen.foundation.findings import Findings
 from datagen.foundation.naming import unique
-from datagen.importers.channels import TextureFiles
-from datagen.importers.common import ImportOptions
+from datagen.importers.common import ImportJob
 from datagen.importers.mitsuba_values import file_of, rgb_of
 
 MITSUBA_FROM_ENVIRONMENT = np.array(
@@ -44,16 +41,13 @@ MITSUBA_FROM_ENVIRONMENT = np.array(
 class LightConverter:
     """Converter that collects a scene's lights and problems; ``matrix``: ``asset_from_source`` (4, 4)."""
 
-    scene: Path
+    job: ImportJob
     matrix: NDArray[np.float64]
-    options: ImportOptions
-    findings: Findings
-    textures: TextureFiles
     lights: list[Light] = field(default_factory=list)
     _names: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
-        self.problems = Problems(self.scene)
+        self.problems = Problems(self.job.where)
 
     def _name(self, node: SceneNode) -> str:
         name = unique(node.id or node.type, self._names)
@@ -92,19 +86,17 @@ class LightConverter:
 
     def _envmap(self, node: SceneNode) -> Light | None:
         expected, instead = "an environment map", "environment map replaced by constant radiance 1"
-        path = file_of(node, node.where, expected, instead, self.options, self.problems, self.findings)
+        path = file_of(node, node.where, expected, instead, self.job, self.problems)
         if path is None:
             return None
         if not path.is_file():
             return EnvironmentLight(name=self._name(node))
         rotation = self._asset_from_emitter(node)[:3, :3] @ MITSUBA_FROM_ENVIRONMENT[:3, :3]
-        rigid = np.eye(4)
-        rigid[:3, :3] = rotation / np.cbrt(np.abs(np.linalg.det(rotation)))
         return EnvironmentLight(
             name=self._name(node),
-            image=self.textures.add_file(path),
+            image=self.job.textures.add_file(path),
             scale=float(node.get("scale", 1.0)),
-            world_from_environment=matrix4(rigid),
+            world_from_environment=matrix4(affine(rotation / np.cbrt(np.abs(np.linalg.det(rotation))))),
         )
 
     def _point(self, node: SceneNode) -> Light:
@@ -124,7 +116,7 @@ class LightConverter:
         beam = node.get("beam_width")
         name = self._name(node)
         if node.child("texture") is not None:
-            self.findings.approximate(f"{name}: texture of the spot left out")
+            self.job.findings.approximate(f"{name}: texture of the spot left out")
         return SpotLight(
             name=name,
             position_m=vector3(matrix[:3, 3]),
@@ -167,7 +159,7 @@ class LightConverter:
         )
 
     def _intensity(self, value: object) -> tuple[float, float, float]:
-        factor = self.options.unit_m**2
+        factor = self.job.options.unit_m**2
         red, green, blue = rgb_of(value)
         return red * factor, green * factor, blue * factor
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Literal, cast
 
 import numpy as np
@@ -17,19 +16,16 @@ from numpy.typing import NDArray
 
 from datagen.formats.asset import MaterialClass
 from datagen.formats.mitsuba.scene import SceneNode
-from datagen.foundation.budget import Budget
-from datagen.foundation.findings import Findings
 from datagen.importers import fresnel
 from datagen.importers.channels import (
     BakedSource,
     ColorValue,
-    ImageCache,
     ImageSource,
     ScalarValue,
     Value,
     is_constant,
 )
-from datagen.importers.common import OPAL_ALBEDO, ImportOptions
+from datagen.importers.common import OPAL_ALBEDO, ImportJob
 from datagen.importers.mitsuba_values import NodeValues, rgb_of
 
 
@@ -60,16 +56,8 @@ class Draft:
 class MaterialConverter(NodeValues):
     """Converter of a scene's BSDF nodes, which collects ``problems`` for the caller to raise."""
 
-    def __init__(
-        self,
-        scene_file: Path,
-        options: ImportOptions,
-        findings: Findings,
-        cache: ImageCache,
-        budget: Budget | None = None,
-    ):
-        super().__init__(scene_file, options, findings, cache)
-        self.budget = budget or Budget(scene_file, options.limits)
+    def __init__(self, job: ImportJob):
+        super().__init__(job)
         self._drafts: dict[int, Draft] = {}
 
     def draft(self, node: SceneNode) -> Draft:
@@ -86,7 +74,7 @@ class MaterialConverter(NodeValues):
 
     def _convert(self, node: SceneNode, name: str) -> Draft:
         name = name or node.id
-        self.budget.spend("references", 1, node.where)
+        self.job.budget.spend("references", 1, node.where)
         converter = _CONVERTERS.get(node.type)
         if node.tag != "bsdf" or converter is None:
             expected = f"a supported BSDF: {', '.join(_CONVERTERS)}"

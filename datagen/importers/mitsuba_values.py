@@ -13,19 +13,17 @@ from numpy.typing import NDArray
 from datagen.formats.mitsuba.scene import SceneNode
 from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.foundation.errors import Problems
-from datagen.foundation.findings import Findings
 from datagen.foundation.paths import fault_of
 from datagen.importers import fresnel
 from datagen.importers.channels import (
     BakedSource,
     Color,
     ColorValue,
-    ImageCache,
     ImageSource,
     ScalarValue,
     Value,
 )
-from datagen.importers.common import RESTORE_IT, ImportOptions
+from datagen.importers.common import RESTORE_IT, ImportJob
 
 CHECKER_TILE_PX = 128  # bilinear filtering blurs the edges over 1/128 of a tile
 MISSING_GREY = 0.5
@@ -36,12 +34,8 @@ _DEFAULT_INT_IOR, _DEFAULT_EXT_IOR = "bk7", "air"
 class NodeValues:
     """Reader of the parameters of BSDF nodes, which collects ``problems`` for the caller to raise."""
 
-    def __init__(self, scene_file: Path, options: ImportOptions, findings: Findings, cache: ImageCache):
-        self.scene_file = scene_file
-        self.options = options
-        self.findings = findings
-        self.cache = cache
-        self.problems = Problems(scene_file)
+    def __init__(self, job: ImportJob):
+        self.job, self.cache, self.problems = job, job.cache, job.problems
         self.start_material()
 
     def start_material(self) -> None:
@@ -119,12 +113,12 @@ class NodeValues:
     def _bitmap(self, node: SceneNode) -> Value:
         self._note_matrix(node)
         field, instead = f"{node.where}: filename", f"texture replaced by grey {MISSING_GREY}"
-        path = file_of(node, field, "the texture", instead, self.options, self.problems, self.findings)
+        path = file_of(node, field, "the texture", instead, self.job, self.problems)
         if path is None or not path.is_file():
             return (MISSING_GREY,) * 3
         if str(node.get("wrap_mode", "repeat")) != "repeat":
             wrap = f"wrap mode {node.get('wrap_mode')} as repeat"
-            self.findings.approximate(f"{node.get('filename')}: {wrap}")
+            self.job.findings.approximate(f"{node.get('filename')}: {wrap}")
         is_raw = bool(node.get("raw", False)) or path.suffix.lower() in (".exr", ".hdr", ".pfm")
         return ImageSource(path, "linear" if is_raw else "srgb")
 
@@ -146,13 +140,7 @@ class NodeValues:
 
 
 def file_of(
-    node: SceneNode,
-    field: str,
-    expected: str,
-    instead: str,
-    options: ImportOptions,
-    problems: Problems,
-    findings: Findings,
+    node: SceneNode, field: str, expected: str, instead: str, job: ImportJob, problems: Problems
 ) -> Path | None:
     """Return the path of the file that a node of the scene ``problems.where`` names; None if it is refused.
 
@@ -160,14 +148,14 @@ def file_of(
     ``instead``. ``field`` and ``expected`` are those of the problem of a refused file.
     """
     name = str(node.get("filename", ""))
-    path, fault = fault_of(Path(problems.where).parent, name, options.allowed)
+    path, fault = fault_of(Path(problems.where).parent, name, job.options.allowed)
     if path is None:
         problems.add(field, f"{name!r} ({fault})", "a file inside the scene's folder", _COPY_IT)
     elif not path.is_file():
-        if options.missing == "refuse":
+        if job.options.missing == "refuse":
             problems.add(field, f"{name!r} (no such file)", expected, RESTORE_IT)
             return None
-        findings.approximate(f"{name}: missing {instead}")
+        job.findings.approximate(f"{name}: missing {instead}")
     return path
 
 

@@ -22,16 +22,14 @@ from datagen.formats.mitsuba.scene import MitsubaScene, SceneNode, parse_scene
 from datagen.formats.mitsuba.sensors import camera_of, guess_up
 from datagen.formats.package import FileSource
 from datagen.foundation.axes import asset_from_source
-from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
-from datagen.foundation.findings import Findings
 from datagen.foundation.meshes.mesh import SINGULAR, Mesh, inspect_mesh, welded, without_degenerate
 from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.naming import slug, unique
 from datagen.importers import annotate
-from datagen.importers.channels import BakedSource, ImageCache, ImageSource, TextureFiles
+from datagen.importers.channels import BakedSource, ImageSource
 from datagen.importers.classes import REPLACEABLE, guess_class
-from datagen.importers.common import ImportedAsset, ImportOptions, note_mended, part_of, provenance
+from datagen.importers.common import ImportedAsset, ImportJob, ImportOptions, note_mended, part_of, provenance
 from datagen.importers.mitsuba_lights import LightConverter, emitter_shape_light
 from datagen.importers.mitsuba_materials import Draft, MaterialConverter
 from datagen.importers.mitsuba_shapes import FILE_SHAPES, SUPPORTED_SHAPES, shape_mesh, transformed_uv
@@ -68,24 +66,19 @@ def import_mitsuba_scene(
     return _SceneImporter(path, options or ImportOptions()).run(out_library)
 
 
-class _SceneImporter:
+class _SceneImporter(ImportJob):
     def __init__(self, path: Path, options: ImportOptions):
         self.path = path / "scene.xml" if path.is_dir() else path
-        self.options = options
-        self.budget = Budget(self.path, options.limits)
-        self.findings = Findings()
-        self.cache = ImageCache(self.budget)
-        self.textures = TextureFiles(self.cache)
+        super().__init__(self.path, options)
         self.files: dict[str, FileSource] = self.textures.files
         self.annotations = annotate.read_annotations(options.annotations)
         self.scene: MitsubaScene = parse_scene(self.path, options.defines, self.budget, options.allowed)
-        self.materials = MaterialConverter(self.path, options, self.findings, self.cache, self.budget)
-        self.problems = self.materials.problems
+        self.materials = MaterialConverter(self)
         self.num_mended: list[int] = []  # number of replaced normals per shape
         self.meshes: dict[Any, tuple[Mesh, int]] = {}
         up = guess_up(self.scene) if options.up == "auto" else options.up
         self.asset_from_source = asset_from_source(up, options.unit_m)
-        self.lights = LightConverter(self.path, self.asset_from_source, options, self.findings, self.textures)
+        self.lights = LightConverter(self, self.asset_from_source)
 
     def run(self, out_library: Path) -> ImportedAsset:
         source, title = provenance(self.path, self.path.parent, self.options, self.findings)
@@ -153,7 +146,7 @@ class _SceneImporter:
         file = None
         if node.type in FILE_SHAPES:
             field, instead = f"{node.where}: filename", "mesh left out"
-            file = file_of(node, field, "the mesh", instead, self.options, self.problems, self.findings)
+            file = file_of(node, field, "the mesh", instead, self, self.problems)
             if file is None or not file.is_file():
                 return
         transform = outer @ node.to_world()

@@ -22,17 +22,15 @@ from numpy.typing import NDArray
 from datagen.formats.asset import ObjectAsset, Provenance, SupportKind
 from datagen.formats.base import quantized, vector3
 from datagen.formats.package import open_package
-from datagen.foundation.axes import Z_UP_FROM_Y_UP
+from datagen.foundation.axes import Z_UP_FROM_Y_UP, affine
 from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
-from datagen.foundation.findings import Findings
 from datagen.foundation.images import IMAGE_SUFFIXES
 from datagen.foundation.meshes.mesh import Mesh, bounds, with_sound_normals, without_degenerate
-from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.naming import slug, unique
-from datagen.importers.annotate import read_annotations
+from datagen.importers.annotate import Annotations, read_annotations
 from datagen.importers.classes import guess_category, guess_supports
-from datagen.importers.common import RESTORE_IT, ImportedAsset, ImportOptions, note_mended, part_of
+from datagen.importers.common import RESTORE_IT, ImportedAsset, ImportJob, ImportOptions, note_mended
 from datagen.importers.mitsuba_xml import is_pane
 from datagen.importers.obj_materials import PhongMaterial, read_mtl
 from datagen.importers.obj_model import ObjModel, read_obj_model
@@ -128,18 +126,13 @@ class _SweetHomeImporter:
                 if kept is not None:
                     yield Step(piece.id, "kept", kept, category)
                     continue
-                record = self._import(piece, asset_id, category)
+                record = _PieceImport(self.catalogue, piece, self.options).run(
+                    self.folder, asset_id, category, self.known
+                )
             except InputError as error:
                 yield Step(piece.id, "refused", category=category, problems=error.problems)
                 continue
             yield Step(piece.id, "imported", record, category)
-
-    def _label(self, piece: Piece) -> str:
-        return f"{self.catalogue.path}: {piece.id}"
-
-    def _source(self, piece: Piece) -> str:
-        origin = self.catalogue.origin
-        return ", ".join(part for part in (origin.provider, origin.id, piece.id) if part)
 
     def _kept(self, piece: Piece, asset_id: str) -> ImportedAsset | None:
         """Return the record of a piece's package from an earlier run, or None.
@@ -151,58 +144,56 @@ class _SweetHomeImporter:
             return None
         with open_package(path) as package:
             source = package.asset.provenance
-            if not (self.options.source or source.source).startswith(self._source(piece)):
+            if not (self.options.source or source.source).startswith(_source(self.catalogue, piece)):
                 expected = "a new path; the package there comes from elsewhere"
                 raise input_error(path, got="exists already", expected=expected, remedy="remove it")
             return ImportedAsset(package.id, package.asset.kind, path, package.sha256, source.license)
 
-    def _import(self, piece: Piece, asset_id: str, category: str) -> ImportedAsset:
-        findings = Findings()
-        source = self._provenance(piece)
-        # a new budget, since the data of each piece are released before the next one
-        budget = Budget(self._label(piece), self.options.limits)
-        budget.hold(self.catalogue.size_in_archive(piece.model))
+
+class _PieceImport(ImportJob):
+    """Import of one piece, with its own budget, since its data are released before the next piece."""
+
+    def __init__(self, catalogue: Catalogue, piece: Piece, options: ImportOptions):
+        super().__init__(f"{catalogue.path}: {piece.id}", options)
+        self.catalogue, self.piece = catalogue, piece
+
+    def run(self, folder: Path, asset_id: str, category: str, known: Annotations) -> ImportedAsset:
+        piece, source = self.piece, self._provenance()
+        self.budget.hold(self.catalogue.size_in_archive(piece.model))
         data = self.catalogue.read(piece.model)
-        model = read_obj_model(data, f"{self.catalogue.path}/{piece.model}", budget)
-        budget.spend("instances", len(model.surfaces), piece.model)
+        model = read_obj_model(data, f"{self.catalogue.path}/{piece.model}", self.budget)
+        self.budget.spend("instances", len(model.surfaces), piece.model)
         num_materials = len({surface.material for surface in model.surfaces})
         hints = (piece.name, *piece.tags) if num_materials <= 2 else ()  # for guessing material classes
         with tempfile.TemporaryDirectory(prefix="sh3f-") as scratch:
-            find_image = partial(self._image, piece, Path(scratch))
-            phongs = self._phong_materials(piece, model, findings)
-            converter = PhongConverter(
-                self._label(piece), self.options, findings, find_image, hints, self.known, budget
+            phongs = self._phong_materials(model)
+            converter = PhongConverter(self, partial(self._image, Path(scratch)), hints, known)
+            pieces = self._surfaces(model, phongs, converter)
+            low, high = bounds([mesh for _, _, mesh in pieces])
+            parts, materials, files = self.contents(
+                [(name, converted.slot, converted.material, mesh) for name, converted, mesh in pieces]
             )
-            pieces = self._surfaces(piece, model, phongs, converter, findings)
-            meshes = [mesh for _, _, mesh in pieces]
-            textures = {t.texture for _, material, _ in pieces for t in material.material.textures()}
-            files = {name: converter.textures.files[name] for name in sorted(textures)}
-            parts = []
-            for name, material, mesh in pieces:
-                files[f"meshes/{name}.ply"] = encode_ply(mesh)
-                parts.append(part_of(name, material.slot, mesh))
-            low, high = bounds(meshes)
             asset = ObjectAsset(
                 id=asset_id,
                 title=piece.name,
                 provenance=source,
                 category=category,
-                materials={material.slot: material.material for _, material, _ in pieces},
-                parts=tuple(parts),
+                materials=materials,
+                parts=parts,
                 minimum_m=(quantized(float(low[0]), 7), quantized(float(low[1]), 7), 0.0),
                 maximum_m=vector3(high),
-                supports=self._supports(piece, category, findings),
+                supports=self._supports(category),
             )
-            return finish(asset, files, self.folder, self.options, findings)
+            return finish(asset, files, folder, self.options, self.findings)
 
-    def _provenance(self, piece: Piece) -> Provenance:
-        """Return a piece's licence, author and source. Raises :class:`InputError` without a licence."""
-        origin = self.catalogue.origin
+    def _provenance(self) -> Provenance:
+        """Return the licence, author and source. Raises :class:`InputError` without a licence."""
+        piece, origin = self.piece, self.catalogue.origin
         license_id = self.options.license or piece.license or origin.license
         if not license_id:
             got, expected = "no known licence", "a licence in the catalogue or its LICENSE.TXT"
             remedy = "give it with --license; only the rights holder can state it"
-            raise input_error(self._label(piece), "license", got, expected, remedy)
+            raise input_error(self.where, "license", got, expected, remedy)
         texts = [
             self.catalogue.read(member).decode("utf-8", "replace")
             for name, member in sorted(self.catalogue.beside(piece.model).items())
@@ -215,7 +206,7 @@ class _SweetHomeImporter:
             author = (credit["author"] or credit["maker"]).strip()
         if origin.holder and origin.holder not in author:
             author = f"{author} ({origin.holder})" if author else origin.holder
-        source = self._source(piece) + (f", {page}" if page else "")
+        source = _source(self.catalogue, piece) + (f", {page}" if page else "")
         return Provenance(
             license=license_id,
             author=self.options.author or author,
@@ -223,9 +214,9 @@ class _SweetHomeImporter:
             usage="evaluation_only" if self.options.evaluation_only else "any",
         )
 
-    def _phong_materials(self, piece: Piece, model: ObjModel, findings: Findings) -> dict[str, PhongMaterial]:
+    def _phong_materials(self, model: ObjModel) -> dict[str, PhongMaterial]:
         """Return the materials, by name, of the MTL files that the model references."""
-        beside = self.catalogue.beside(piece.model)
+        beside = self.catalogue.beside(self.piece.model)
         found: dict[str, PhongMaterial] = {}
         absent = []
         for library in model.libraries:
@@ -238,14 +229,14 @@ class _SweetHomeImporter:
         absent += sorted({f"material {s.material!r}" for s in model.surfaces if s.material not in found})
         if absent and self.options.missing == "refuse":
             got = ", ".join(absent)
-            raise input_error(self._label(piece), "materials", got, "in an MTL file", RESTORE_IT)
+            raise input_error(self.where, "materials", got, "in an MTL file", RESTORE_IT)
         for name in absent:
-            findings.approximate(f"{name}: missing, replaced by grey")
+            self.findings.approximate(f"{name}: missing, replaced by grey")
         return found
 
-    def _image(self, piece: Piece, scratch: Path, name: str) -> Path | None:
+    def _image(self, scratch: Path, name: str) -> Path | None:
         """Unpack an image of the model, given by its lower-case name, and return its path, or None."""
-        member = self.catalogue.beside(piece.model).get(name)
+        member = self.catalogue.beside(self.piece.model).get(name)
         if member is None or not name.endswith(_IMAGE_SUFFIXES):
             return None
         path = scratch / PurePosixPath(member).name
@@ -254,16 +245,10 @@ class _SweetHomeImporter:
         return path
 
     def _surfaces(
-        self,
-        piece: Piece,
-        model: ObjModel,
-        phongs: dict[str, PhongMaterial],
-        converter: PhongConverter,
-        findings: Findings,
+        self, model: ObjModel, phongs: dict[str, PhongMaterial], converter: PhongConverter
     ) -> list[_Surface]:
         """Return name, material and mesh of each part, centred in x and y and standing on z = 0."""
-        matrix = self._asset_from_model(piece, model, findings)
-        is_mirrored = np.linalg.det(matrix[:3, :3]) < 0
+        matrix = self._asset_from_model(model)
         pieces: list[_Surface] = []
         panes: list[_Surface] = []
         num_mended: list[int] = []
@@ -275,7 +260,7 @@ class _SweetHomeImporter:
             phong = phongs.get(surface.material, PhongMaterial())
             material = converter.convert(slot, phong, is_mirror=surface.is_mirror, has_uv=has_uv)
             mesh = surface.mesh.transformed(matrix)
-            if is_mirrored:
+            if np.linalg.det(matrix[:3, :3]) < 0:
                 mesh = replace(mesh, faces=mesh.faces[:, ::-1].copy())
             mesh = without_degenerate(mesh)
             if not len(mesh.faces) or material.stand_in == "remove":
@@ -285,20 +270,21 @@ class _SweetHomeImporter:
             entry = (unique(slug(slot), {name for name, _, _ in pieces + panes}), material, mesh)
             is_flat = material.stand_in == "pane" and is_pane(mesh)
             (panes if is_flat else pieces).append(entry)
-        raise_problems(converter.problems)
-        note_mended(findings, num_mended)
+        raise_problems(self.problems)
+        note_mended(self.findings, num_mended)
         pieces, panes = _with_outer_panes(pieces, panes)
         if panes:
-            findings.approximate(f"{', '.join(m.slot for _, m, _ in panes)}: flat transparent panes left out")
+            names = ", ".join(material.slot for _, material, _ in panes)
+            self.findings.approximate(f"{names}: flat transparent panes left out")
         if not pieces:
-            raise input_error(self._label(piece), got="no visible surface", expected="at least one")
+            raise input_error(self.where, got="no visible surface", expected="at least one")
         low, high = bounds([mesh for _, _, mesh in pieces])
-        shift = np.eye(4)
-        shift[:3, 3] = -(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]
+        shift = affine(np.eye(3), (-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]))
         return [(name, material, mesh.transformed(shift)) for name, material, mesh in pieces]
 
-    def _asset_from_model(self, piece: Piece, model: ObjModel, findings: Findings) -> NDArray[np.float64]:
+    def _asset_from_model(self, model: ObjModel) -> NDArray[np.float64]:
         """Return the (4, 4) transform to the catalogue's rotation and size, and to Z up."""
+        piece = self.piece
         rotation = np.eye(3) if piece.rotation is None else piece.rotation
         points = np.concatenate([s.mesh.positions for s in model.surfaces]).astype(np.float64) @ rotation.T
         extent = points.max(axis=0) - points.min(axis=0)
@@ -306,29 +292,32 @@ class _SweetHomeImporter:
         size = np.array([width, height, depth])
         has_extent = extent > _FLAT * max(extent.max(), 1e-30)
         if not has_extent.any():
-            raise input_error(self._label(piece), got="a model of a single point", expected="a surface")
+            raise input_error(self.where, got="a model of a single point", expected="a surface")
         scale = np.where(has_extent, size / np.maximum(extent, 1e-30), 1.0)
         scale[~has_extent] = np.median(scale[has_extent])
         ratio = float(scale[has_extent].max() / scale[has_extent].min())
         if ratio > _STRETCH:
-            findings.note(
+            self.findings.note(
                 f"{piece.name}: stretched to the catalogue's size, axes unequally ({ratio:.2f} : 1)"
             )
-        matrix = np.eye(4)
-        matrix[:3, :3] = np.diag(scale) @ rotation
-        return Z_UP_FROM_Y_UP @ matrix
+        return Z_UP_FROM_Y_UP @ affine(np.diag(scale) @ rotation)
 
-    def _supports(self, piece: Piece, category: str, findings: Findings) -> tuple[SupportKind, ...]:
-        """Return the kinds of surface on which a piece may stand; none if it hangs or is built in."""
+    def _supports(self, category: str) -> tuple[SupportKind, ...]:
+        """Return the kinds of surface on which the piece may stand; none if it hangs or is built in."""
+        piece = self.piece
         width, depth, height = piece.size_m
         if piece.is_light:
-            findings.approximate(f"{piece.name}: light of the catalogue left out of the object")
+            self.findings.approximate(f"{piece.name}: light of the catalogue left out of the object")
         if piece.is_door_or_window or piece.elevation_m > 0 or category in ("door", "stairs"):
-            findings.note(
+            self.findings.note(
                 f"{piece.name}: hangs or is built in, at {piece.elevation_m:g} m; it is never placed"
             )
             return ()
         return guess_supports(category, height, max(width, depth))
+
+
+def _source(catalogue: Catalogue, piece: Piece) -> str:
+    return ", ".join(filter(None, (catalogue.origin.provider, catalogue.origin.id, piece.id)))
 
 
 def guess_piece_category(piece: Piece) -> str:

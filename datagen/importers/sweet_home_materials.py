@@ -15,15 +15,12 @@ from typing import Literal, cast
 import numpy as np
 
 from datagen.formats.asset import MaterialClass, SlotMaterial
-from datagen.foundation.budget import Budget
 from datagen.foundation.color import linear_from_srgb
-from datagen.foundation.errors import Problems
-from datagen.foundation.findings import Findings
 from datagen.foundation.images import normalized
 from datagen.importers.annotate import Annotations
-from datagen.importers.channels import Color, ColorValue, ImageCache, ImageSource, ScalarValue, TextureFiles
+from datagen.importers.channels import Color, ColorValue, ImageSource, ScalarValue
 from datagen.importers.classes import REPLACEABLE, guess_class
-from datagen.importers.common import OPAL_ALBEDO, RESTORE_IT, ImportOptions
+from datagen.importers.common import OPAL_ALBEDO, RESTORE_IT, ImportJob
 from datagen.importers.fresnel import perceptual_roughness
 from datagen.importers.obj_materials import PhongMaterial
 
@@ -92,19 +89,14 @@ class PhongConverter:
 
     def __init__(
         self,
-        where: str,
-        options: ImportOptions,
-        findings: Findings,
+        job: ImportJob,
         find_file: Callable[[str], Path | None],
         hints: tuple[str, ...],
         known: Annotations,
-        budget: Budget,
     ):
-        self.where, self.options, self.findings = where, options, findings
+        self.options, self.findings, self.problems = job.options, job.findings, job.problems
+        self.cache, self.textures = job.cache, job.textures
         self.find_file, self.hints, self.known = find_file, hints, known
-        self.cache = ImageCache(budget)
-        self.textures = TextureFiles(self.cache)
-        self.problems = Problems(where)
         self._notes: list[str] = []
 
     def convert(self, slot: str, phong: PhongMaterial, *, is_mirror: bool, has_uv: bool) -> ConvertedMaterial:

@@ -15,7 +15,6 @@ from datagen.formats.mitsuba.scene import SceneNode, parse_scene, snake_case
 from datagen.formats.package import open_package
 from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError
-from datagen.foundation.findings import Findings
 from datagen.foundation.images import encode_png, read_image
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.obj import read_obj
@@ -23,7 +22,7 @@ from datagen.foundation.meshes.ply import encode_ply
 from datagen.importers import fresnel
 from datagen.importers.annotate import find_places
 from datagen.importers.channels import BakedSource, ImageCache, ImageSource
-from datagen.importers.common import ImportedAsset, ImportOptions, detect_origin
+from datagen.importers.common import ImportedAsset, ImportJob, ImportOptions, detect_origin
 from datagen.importers.mitsuba_lights import emitter_shape_light
 from datagen.importers.mitsuba_materials import Draft, MaterialConverter
 from datagen.importers.mitsuba_shapes import shape_mesh, transformed_uv
@@ -183,7 +182,7 @@ def test_an_obj_of_short_lines_is_refused(tmp_path: Path, text: str, found: str)
 
 
 def converter(tmp_path: Path, options: ImportOptions = LICENSED) -> MaterialConverter:
-    return MaterialConverter(tmp_path / "scene.xml", options, Findings(), ImageCache(Budget("scene.xml")))
+    return MaterialConverter(ImportJob(tmp_path / "scene.xml", options))
 
 
 def draft_of(tmp_path: Path, xml: str) -> Draft:
