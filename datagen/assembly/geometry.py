@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Texture
 from datagen.formats.package import Package
 from datagen.foundation.errors import input_error
-from datagen.foundation.meshes.mesh import Mesh, inspect_mesh
+from datagen.foundation.meshes.mesh import Mesh, area_vectors, inspect_mesh
 from datagen.foundation.meshes.ply import decode_ply
 
 Floats = NDArray[np.float64]
@@ -48,7 +48,7 @@ class RayScene:
     def __init__(self, vertices: Floats, faces: NDArray):
         self.faces = np.ascontiguousarray(faces, dtype=np.int32)
         self.corners = np.asarray(vertices, dtype=np.float64)[self.faces]
-        cross = np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0])
+        cross = area_vectors(self.corners)
         length = np.linalg.norm(cross, axis=1, keepdims=True)
         self.areas = 0.5 * length[:, 0]
         self.normals = cross / np.maximum(length, 1e-300)  # a degenerate triangle has the normal zero
@@ -134,8 +134,7 @@ class AssetGeometry:
     def center_of_mass_m(self) -> Floats:
         """Area-weighted centroid (3,) of the surface, since open meshes have no volume."""
         corners = self.vertices[self.faces]
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        area = np.linalg.norm(cross, axis=1)
+        area = np.linalg.norm(area_vectors(corners), axis=1)
         return (corners.mean(axis=1) * area[:, None]).sum(axis=0) / area.sum()
 
     @cached_property

@@ -18,9 +18,10 @@ import numpy as np
 
 from datagen.assembly.geometry import Floats, RayScene, distance_m, world_points
 from datagen.assembly.shortfall import shortfall
-from datagen.assembly.things import PlacedThing, Room, Thing, convex_hull_2d, margin_inside, pose, rotation_z
+from datagen.assembly.things import PlacedThing, Room, Thing, convex_hull_2d, margin_inside, pose
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, SupportSurface
 from datagen.formats.recipe import ObjectRecipe
+from datagen.foundation.axes import rotation
 from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
 
@@ -133,7 +134,7 @@ class Placer:
             inside = [turned + k * 2 * math.pi for k in (-1, 0, 1) if low <= turned + k * 2 * math.pi <= high]
             at_wall, yaw = bool(inside), inside[0] if inside else yaw
         yaw = float(np.round(yaw, 7))
-        hull = thing.footprint * scale @ rotation_z(yaw)[:2, :2].T
+        hull = thing.footprint * scale @ rotation("z", yaw)[:2, :2].T
         along_u, along_v = hull @ frame.u[:2], hull @ frame.v[:2]
         room_u = frame.length_u - (along_u.max() - along_u.min())
         room_v = frame.length_v - (along_v.max() - along_v.min())
@@ -177,7 +178,7 @@ class Placer:
         bounds = np.stack([used.min(axis=0), used.max(axis=0)])
         placed = PlacedThing(thing, surface, scale, yaw, position, bounds)
         above = position + np.array([0.0, 0.0, MAX_PENETRATION_M])
-        lifted = thing.collision_at(scale).at(rotation_z(yaw), above)
+        lifted = thing.collision_at(scale).at(rotation("z", yaw), above)
         if self.room.cuts(lifted, bounds, surface):
             return "hits_environment"
         for other in self.placed:

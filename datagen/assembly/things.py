@@ -23,6 +23,7 @@ from datagen.assembly.geometry import (
     world_points,
 )
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, SupportSurface
+from datagen.foundation.axes import affine, rotation
 
 _MAX_UNDERSIDE_POINTS = 600
 _MANY_POINTS = 2000
@@ -131,16 +132,7 @@ def _lattice(corners: Floats) -> Floats:
 
 def pose(scale: float, yaw_rad: float, position_m: Floats) -> NDArray[np.float64]:
     """``world_from_asset`` (4, 4) of a uniformly scaled, upright object."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = scale * rotation_z(yaw_rad)
-    matrix[:3, 3] = position_m
-    return matrix
-
-
-def rotation_z(angle_rad: float) -> NDArray[np.float64]:
-    """Rotation matrix (3, 3) about +Z."""
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return affine(scale * rotation("z", yaw_rad), position_m)
 
 
 @dataclass(frozen=True)
@@ -162,7 +154,7 @@ class PlacedThing:
     @cached_property
     def body(self) -> Any:
         """The FCL collision object at the object's pose."""
-        return self.thing.collision_at(self.scale).at(rotation_z(self.yaw_rad), self.position_m)
+        return self.thing.collision_at(self.scale).at(rotation("z", self.yaw_rad), self.position_m)
 
     @cached_property
     def rays(self) -> RayScene:

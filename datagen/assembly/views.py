@@ -23,9 +23,9 @@ from datagen.assembly.geometry import Floats, RayScene, WorldScene, direction_of
 from datagen.assembly.light_levels import Lighting
 from datagen.assembly.light_probe import Rectangle
 from datagen.assembly.shortfall import shortfall
-from datagen.assembly.things import rotation_z
 from datagen.formats.base import quantized
 from datagen.formats.recipe import CameraRecipe
+from datagen.foundation.axes import rotation
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.random import Draws
 
@@ -294,7 +294,7 @@ class ViewFinder:
         focal = quantized(0.5 * width / math.tan(0.5 * fov), 9)
         roll = min(max(draws.normal(), -2.5), 2.5) * _ROLL_RAD
         pose = look_at(position, position + direction_of(azimuth, pitch))
-        pose[:3, :3] = pose[:3, :3] @ rotation_z(roll)
+        pose[:3, :3] = pose[:3, :3] @ rotation("z", roll)
         return Camera(width, height, focal, focal, 0.5 * width, 0.5 * height, np.round(pose, 9))
 
     def _measure(self, candidates: list[Candidate]) -> None:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
 from datagen.formats.asset import EnvironmentAsset, LightSlot, ObjectAsset, Opening, SupportSurface
@@ -26,10 +28,9 @@ def degenerate_problems(asset: ObjectAsset | EnvironmentAsset, where: str) -> Pr
         if not has_area(found.edge_u_m, found.edge_v_m):
             got = f"edges {found.edge_u_m} and {found.edge_v_m}"
             problems.add(f"{field} ({found.name})", got, "a rectangle with an area above zero", _REMEDY)
-    for k, light in lights:
-        for name in ("direction", "sun_direction"):
-            if not any(getattr(light, name, (1.0,))):
-                problems.add(f"lights[{k}] ({light.name}).{name}", "0 0 0", "a unit vector", _REMEDY)
+    for (k, light), name in product(lights, ("direction", "sun_direction")):
+        if not any(getattr(light, name, (1.0,))):
+            problems.add(f"lights[{k}] ({light.name}).{name}", "0 0 0", "a unit vector", _REMEDY)
     return problems
 
 

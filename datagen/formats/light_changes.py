@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from datagen.formats.base import quantized
 from datagen.formats.lights import EnvironmentLight, Light, SkyLight
+from datagen.foundation.axes import affine
 
 
 def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Light:
@@ -31,9 +32,7 @@ def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Lig
         return tuple((moved / np.linalg.norm(moved) if unit else moved).tolist())
 
     def rotated(rows: Any) -> tuple[tuple[float, ...], ...]:
-        rotation = np.eye(4)
-        rotation[:3, :3] = linear / scale
-        return tuple(tuple(row) for row in (rotation @ np.array(rows)).tolist())
+        return tuple(tuple(row) for row in (affine(linear / scale) @ np.array(rows)).tolist())
 
     moves: dict[str, Callable[[Any], Any]] = {
         **dict.fromkeys(("position_m", "origin_m"), point),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -30,6 +31,16 @@ def affine(linear: ArrayLike, offset: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[np
 
 Z_UP_FROM_Y_UP = affine([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Rotation from +Y up to +Z up: (x, y, z) becomes (x, -z, y)."""
+
+
+def rotation(axis: str, angle_rad: float) -> NDArray[np.float64]:
+    """Return the right-handed rotation matrix (3, 3) about the axis ``x``, ``y`` or ``z``."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    k = "xyz".index(axis)
+    a, b = (k + 1) % 3, (k + 2) % 3
+    matrix = np.eye(3)
+    matrix[a, a], matrix[a, b], matrix[b, a], matrix[b, b] = c, -s, s, c
+    return matrix
 
 
 def unit_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from datagen.foundation.meshes.mesh import Mesh, area_vectors, welded
+from datagen.foundation.meshes.mesh import Mesh, area_vectors, unit_vectors, welded
 
 CREASE_RAD = np.radians(40.0)  # minimum angle between the normals of the triangles at a crease
 _MAX_AROUND = 128  # maximum number of triangles averaged at a vertex
@@ -23,7 +23,7 @@ def with_normals(mesh: Mesh) -> Mesh:
     if mesh.normals is not None:
         return mesh
     cross = area_vectors(mesh.triangles())
-    unit = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
+    unit = unit_vectors(cross)
     vertex = welded(mesh)[1][mesh.faces].ravel()
     order = np.argsort(vertex, kind="stable")  # corners by vertex; corner k belongs to face k // 3
     start = np.concatenate([[0], np.cumsum(np.bincount(vertex))])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from datagen.formats.capture import CaptureGeometry
 from datagen.foundation.cameras import Camera
-from datagen.foundation.meshes.mesh import Mesh, area_vectors, edge_pairs, welded
+from datagen.foundation.meshes.mesh import Mesh, area_vectors, edge_pairs, unit_vectors, welded
 from datagen.geometry.crease_normals import with_normals
 from datagen.multiview.visibility import vectors_from_rows
 from mitsuba_plugins.variant import select_variant
@@ -137,8 +137,6 @@ def reachable_faces(
 
     Directions are cosine-distributed about the points' unit normals, ``normal`` (N, 3).
     """
-    import mitsuba as mi
-
     found = np.zeros(len(geometry.mesh.faces), dtype=bool)
     if not len(position_m):
         return found
@@ -149,11 +147,8 @@ def reachable_faces(
     direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
     size_m = float(np.linalg.norm(np.ptp(geometry.mesh.positions, axis=0)))
     start = position_m[point] + normal[point] * (1e-4 * size_m)
-    pi = geometry.scene.ray_intersect_preliminary(
-        mi.Ray3f(mi.Point3f(vectors_from_rows(start)), vectors_from_rows(direction))
-    )
-    hit = np.asarray(pi.is_valid().numpy(), dtype=bool)
-    found[np.asarray(pi.prim_index.numpy()).astype(np.int64)[hit]] = True
+    face = geometry.faces_at(start, direction)
+    found[face[face >= 0]] = True
     return found
 
 
@@ -173,8 +168,7 @@ def seen_sides(views: Sequence[ViewGeometry], num_faces: int) -> NDArray[np.floa
 
 def face_normals(mesh: Mesh, sides: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
     """Return the unit normals (M, 3) of the triangles, multiplied by the signs ``sides`` (M,) if given."""
-    cross = area_vectors(mesh.triangles())
-    normal = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
+    normal = unit_vectors(area_vectors(mesh.triangles()))
     if sides is not None:
         normal *= sides[:, None]
     return normal.astype(np.float32)

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.axes import affine, unit_vector
 from datagen.foundation.budget import Budget
 from datagen.foundation.documents import parse_xml
 from datagen.foundation.errors import Problem, input_error, raise_problems
@@ -377,10 +378,6 @@ def _rotation(axis: list[float], angle_rad: float) -> NDArray[np.float64]:
 
 def _look_at(origin: NDArray[Any], target: NDArray[Any], up: NDArray[Any]) -> NDArray[np.float64]:
     """(4, 4) matrix of Mitsuba's ``lookat``: z towards the target, x = up x z (to the left), y up."""
-    forward = (target - origin) / max(float(np.linalg.norm(target - origin)), 1e-30)
-    left = np.cross(up, forward)
-    left /= max(float(np.linalg.norm(left)), 1e-30)
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.stack([left, np.cross(forward, left), forward], axis=1)
-    matrix[:3, 3] = origin
-    return matrix
+    forward = unit_vector(target - origin)
+    left = unit_vector(np.cross(up, forward))
+    return affine(np.stack([left, np.cross(forward, left), forward], axis=1), origin)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from datagen.formats.asset import AssetCamera
 from datagen.formats.base import matrix4, quantized
 from datagen.formats.mitsuba.scene import MitsubaScene, SceneNode
-from datagen.foundation.axes import unit_vector
+from datagen.foundation.axes import affine, unit_vector
 from datagen.foundation.findings import Findings
 
 MITSUBA_FROM_CAMERA = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -47,9 +47,7 @@ def camera_of(
     matrix = asset_from_source @ to_world @ MITSUBA_FROM_CAMERA
     forward, down = unit_vector(matrix[:3, 2]), matrix[:3, 1]
     down = unit_vector(down - forward * float(down @ forward))
-    rigid = np.eye(4)
-    rigid[:3, :3] = np.stack([np.cross(down, forward), down, forward], axis=1)
-    rigid[:3, 3] = matrix[:3, 3]
+    rigid = affine(np.stack([np.cross(down, forward), down, forward], axis=1), matrix[:3, 3])
     focal = _focal_px(node, width, height)
     return AssetCamera(
         name=name,
