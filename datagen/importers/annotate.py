@@ -31,7 +31,8 @@ from datagen.formats.base import StrictModel, quantized, read_yaml, vector3
 from datagen.formats.lights import AreaLight, Light
 from datagen.foundation.findings import Findings
 from datagen.foundation.meshes.mesh import Mesh, area_vectors
-from datagen.importers.room_grid import DIGITS, MIN_CELL_M, RoomGrid, rectangles, surface_points
+from datagen.foundation.rectangles import rectangles
+from datagen.importers.room_grid import DIGITS, MIN_CELL_M, RoomGrid, surface_points
 
 _STANDING_ROOM_M = 0.12  # minimum free height above a support
 _LEVEL_M = 0.012  # height tolerance within which horizontal triangles form one surface

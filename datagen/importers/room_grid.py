@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from datagen.formats.asset import Box, LightSlot
 from datagen.formats.base import vector3
+from datagen.foundation.rectangles import rectangles
 
 SQUARE_M = 0.025
 MIN_CELL_M = 0.06
@@ -163,38 +164,3 @@ class RoomGrid:
                 edge_u_m=(0.0, _SLOT_SIDE_M, 0.0),
                 edge_v_m=(_SLOT_SIDE_M, 0.0, 0.0),  # u x v points down
             )
-
-
-def rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[tuple[int, int, int, int]]:
-    """Yield up to ``count`` disjoint all-True rectangles (x0, x1, y0, y1) of a mask, the largest first."""
-    mask = mask.copy()
-    for _ in range(count):
-        x0, x1, y0, y1 = largest_rectangle(mask, min_side)
-        if x1 <= x0:
-            return
-        yield x0, x1, y0, y1
-        mask[x0:x1, y0:y1] = False
-
-
-def largest_rectangle(mask: NDArray[np.bool_], min_side: int = 1) -> tuple[int, int, int, int]:
-    """Return the largest all-True rectangle (x0, x1, y0, y1) with sides of at least ``min_side``, or zeros.
-
-    Found row by row as the largest rectangle in the histogram of the heights of True columns.
-    """
-    best, result = 0, (0, 0, 0, 0)
-    heights = np.zeros(mask.shape[1] + 1, dtype=np.int64)  # the last stays 0, which ends every open rectangle
-    for row in range(mask.shape[0]):
-        heights[:-1] = np.where(mask[row], heights[:-1] + 1, 0)
-        if heights.max() * mask.shape[1] <= best:
-            continue
-        stack: list[tuple[int, int]] = []  # (start, height), heights increasing
-        for column, height in enumerate(heights.tolist()):
-            start = column
-            while stack and stack[-1][1] > height:
-                start, tall = stack.pop()
-                if tall >= min_side and column - start >= min_side and tall * (column - start) > best:
-                    best = tall * (column - start)
-                    result = (row + 1 - tall, row + 1, start, column)
-            if height and (not stack or stack[-1][1] < height):
-                stack.append((start, height))
-    return result

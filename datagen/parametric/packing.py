@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from datagen.formats.asset import (
     Box,
@@ -26,6 +26,7 @@ from datagen.foundation.color import color_of_temperature
 from datagen.foundation.meshes.mesh import Mesh, with_sound_normals
 from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.random import Draws
+from datagen.foundation.rectangles import rectangles
 from datagen.parametric.checks import CELL_M, walkable
 from datagen.parametric.items import Lamp, Placed
 from datagen.parametric.kinds import KINDS, Kind
@@ -221,30 +222,11 @@ def _regions(room: MadeRoom, rectangles: list[Rectangle]) -> list[Box]:
 def _free_rectangles(room: MadeRoom) -> list[Rectangle]:
     """Return disjoint rectangles (corners (2,), (2,)) of the walkable floor, largest first."""
     shell = room.furnished.shell
-    free = walkable(shell, np.concatenate([p.boxes() for p in room.furnished.items]))[0].copy()
+    free = walkable(shell, np.concatenate([p.boxes() for p in room.furnished.items]))[0]
     origin = np.array([-shell.width / 2, -shell.depth / 2])
     found = []
-    for _ in range(_MAX_REGIONS):
-        r0, r1, c0, c1 = _largest_rectangle(free)
+    for r0, r1, c0, c1 in rectangles(free, _MAX_REGIONS, 1):
         if min(r1 - r0, c1 - c0) < 2:
             break
         found.append((origin + CELL_M * np.array([c0, r0]), origin + CELL_M * np.array([c1, r1])))
-        free[r0:r1, c0:c1] = False
     return found
-
-
-def _largest_rectangle(free: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """Return rows and columns (r0, r1, c0, c1) of the largest rectangle that contains only True."""
-    best, where = 0, (0, 0, 0, 0)
-    heights = np.zeros(free.shape[1] + 1, dtype=np.int64)
-    for r in range(free.shape[0]):
-        heights[:-1] = np.where(free[r], heights[:-1] + 1, 0)
-        stack: list[int] = []
-        for c, h in enumerate(heights.tolist()):
-            while stack and heights[stack[-1]] >= h:
-                tall = int(heights[stack.pop()])
-                left = stack[-1] + 1 if stack else 0
-                if tall * (c - left) > best:
-                    best, where = tall * (c - left), (r + 1 - tall, r + 1, left, c)
-            stack.append(c)
-    return where

@@ -19,6 +19,7 @@ from datagen.foundation.images import encode_png, read_image
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.obj import read_obj
 from datagen.foundation.meshes.ply import encode_ply
+from datagen.foundation.rectangles import largest_rectangle
 from datagen.importers import fresnel
 from datagen.importers.annotate import find_places
 from datagen.importers.channels import BakedSource, ImageCache, ImageSource
@@ -29,7 +30,6 @@ from datagen.importers.mitsuba_shapes import shape_mesh, transformed_uv
 from datagen.importers.mitsuba_values import checkerboard, normal_from_height
 from datagen.importers.mitsuba_xml import import_mitsuba_scene
 from datagen.importers.reference import agreement, native_configuration
-from datagen.importers.room_grid import largest_rectangle
 
 LICENSED = ImportOptions(license="CC0-1.0")
 SENSOR = """

@@ -22,6 +22,7 @@ from datagen.formats.package import open_package
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import decode_ply
+from datagen.foundation.rectangles import largest_rectangle
 from datagen.geometry.traced import TracedGeometry, ViewGeometry, smooth_regions
 from datagen.geometry.views import TracedView
 from datagen.light.background import (
@@ -53,7 +54,7 @@ from model.reconstruction.light.found import found_lights
 from model.reconstruction.light.lamps import found_lamps
 from model.reconstruction.light.openings import FINE, LeavingRays, found_openings
 from model.reconstruction.light.options import LightOptions
-from model.reconstruction.light.rectangles import cover, cut, largest_rectangle
+from model.reconstruction.light.rectangles import cover, cut
 from model.reconstruction.light.shining import shining_patches
 from model.reconstruction.light.sky import HEIGHT, direction_vectors, directions_of, sky_image
 from oracles.textured_room import room_capture
@@ -145,8 +146,8 @@ def test_rectangles_of_a_mask() -> None:
     random = np.random.default_rng(2)
     for _ in range(30):
         mask = random.random((7, 9)) < 0.7
-        row, column, rows, columns = largest_rectangle(mask)
-        assert mask[row : row + rows, column : column + columns].all()
+        top, bottom, left, right = largest_rectangle(mask)
+        assert mask[top:bottom, left:right].all()
         best = max(
             (r1 - r0) * (c1 - c0)
             for r0 in range(7)
@@ -155,7 +156,7 @@ def test_rectangles_of_a_mask() -> None:
             for c1 in range(c0 + 1, 10)
             if mask[r0:r1, c0:c1].all()
         )
-        assert rows * columns == best
+        assert (bottom - top) * (right - left) == best
     corner = np.ones((10, 10), bool)
     corner[5:, 5:] = False
     pieces = [piece for block in cover(corner) for piece in cut(block, 4)]
