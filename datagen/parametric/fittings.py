@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Makes fittings and small items: radiators, curtains, rugs, pictures, plants; lengths in metres."""
+"""Makes fittings and small items: radiators, curtains, rugs, pictures, plants, switches; in metres."""
 
 from __future__ import annotations
+
+from itertools import product
 
 import numpy as np
 
@@ -18,9 +20,12 @@ from datagen.parametric.shapes import (
     grid,
     joined,
     lathe,
+    middles,
     rounded_box,
     tube,
 )
+
+PLATE_M = 0.082  # side of the plate of a switch or socket
 
 
 def radiator(style: Style, draws: Draws, width: float, height: float) -> Item:
@@ -28,16 +33,11 @@ def radiator(style: Style, draws: Draws, width: float, height: float) -> Item:
     item = Item("radiator", hold="wall")
     if draws.chance(0.6):
         item.add("radiator", rounded_box((width, 0.07, height), 0.012, (0, -0.075, 0), 2))
-        count = int(width / 0.05)
-        for k in range(count):
-            x = -width / 2 + (k + 0.5) * width / count
+        for x in middles(width, int(width / 0.05)):
             item.add("radiator", box((0.022, 0.008, height - 0.06), (x, -0.112, 0.03), 0.0035))
     else:
-        count = int(width / 0.055)
-        for k in range(count):
-            x = -width / 2 + (k + 0.5) * width / count
-            for y in (-0.05, -0.095):
-                item.add("radiator", tube([(x, y, 0.0), (x, y, height)], 0.0165, 8))
+        for x, y in product(middles(width, int(width / 0.055)), (-0.05, -0.095)):
+            item.add("radiator", tube([(x, y, 0.0), (x, y, height)], 0.0165, 8))
         for z in (0.03, height - 0.03):
             item.add("radiator", box((width, 0.06, 0.035), (0, -0.0725, z - 0.0175), 0.01))
     for x in (-0.4 * width, 0.4 * width):
@@ -326,4 +326,29 @@ def teepee(style: Style, draws: Draws) -> Item:
         sheet = sheet + sag * inward / np.maximum(np.linalg.norm(inward, axis=2, keepdims=True), 1e-9)
         front = grid(sheet)
         item.add("bedding", joined([front, flipped(grid(sheet + 0.003 * inward))]))
+    return item
+
+
+def switch(gangs: int) -> Item:
+    """Make a switch with ``gangs`` (1 or 2) rockers side by side; z = 0 is its lower edge."""
+    item = Item("switch", hold="wall")
+    item.add("switch", box((PLATE_M, 0.009, PLATE_M), (0, -0.005, 0), 0.002))
+    width = 0.06 / gangs - 0.001
+    for k in range(gangs):
+        x = (k - (gangs - 1) / 2) * (width + 0.001)
+        item.add("switch", box((width, 0.0045, 0.06), (x, -0.0115, 0.011), 0.001))
+    return item
+
+
+def socket(count: int) -> Item:
+    """Make a row of ``count`` sockets, each with a round face and two holes; z = 0 is its lower edge."""
+    item = Item("socket", hold="wall")
+    item.add("switch", box((count * PLATE_M, 0.009, PLATE_M), (0, -0.005, 0), 0.002))
+    for k in range(count):
+        x = (k - (count - 1) / 2) * PLATE_M
+        face = cylinder(0.0215, 0.002, bevel=0.0004).turned("x", 90)
+        item.add("switch", face.moved(x, -0.0093, PLATE_M / 2))
+        for side in (-1, 1):
+            hole = cylinder(0.0026, 0.0012, segments=8).turned("x", 90)
+            item.add("dark", hole.moved(x + 0.0095 * side, -0.0102, PLATE_M / 2))
     return item

@@ -4,16 +4,61 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import product
 
 from datagen.foundation.random import Draws
 from datagen.parametric import fittings, lamps, seating, storage, tables
-from datagen.parametric.extras import EXTRAS
-from datagen.parametric.items import Item, Placed
+from datagen.parametric.items import Item, Placed, Style
 from datagen.parametric.layout import SIDES, Furnisher, Unfit
+from datagen.parametric.shapes import middles
+from datagen.parametric.shell import CASING_M, WALLS
 
 _SPACING_M = 2.5  # distance between ceiling lamps of one room
+_SWITCH_M, _LOW_M, _HIGH_M = 1.05, 0.27, 1.12  # heights of switches, sockets, sockets above tables
+_CLEAR_M = 0.02  # distance of switches and sockets from the casings of doors and windows
 _PICTURES_M = ((0.4, 0.5), (0.5, 0.7), (0.7, 0.5), (0.9, 0.6), (0.6, 0.8), (0.3, 0.4), (1.1, 0.75))
+
+
+def _cupboard(style: Style, draws: Draws) -> Item:
+    size = (draws.uniform(0.42, 0.65), 0.36, draws.uniform(0.9, 1.8))
+    return storage.cabinet("cupboard", style, size, [("door", 1.0)], 1, 0.06)
+
+
+def _files(style: Style, draws: Draws) -> Item:
+    size = (0.45, 0.6, draws.choice((0.75, 1.3)))
+    return storage.cabinet("files", style, size, [("drawer", 0.3)] * 3, 1, 0.04, ("steel", "steel"))
+
+
+_EXTRAS: Mapping[str, Callable[[Style, Draws], Item]] = {
+    "basket": storage.basket,
+    "bin": storage.pedal_bin,
+    "bench": lambda style, draws: seating.bench(style, draws, draws.uniform(0.8, 1.4), False),
+    "chair": lambda style, draws: seating.chair(style, draws),
+    "chest": lambda style, draws: storage.chest(style, draws, draws.uniform(0.55, 1.05)),
+    "crates": fittings.crates,
+    "cubes": lambda style, draws: storage.cube_shelf(style, draws, draws.integer(1, 2), draws.integer(1, 3)),
+    "cupboard": _cupboard,
+    "files": _files,
+    "lockers": storage.lockers,
+    "open_shelf": lambda style, draws: storage.bookcase(
+        style, draws, draws.uniform(0.7, 1.3), draws.uniform(0.9, 2.0), 0.32, 0.3
+    ),
+    "bookcase": lambda style, draws: storage.bookcase(
+        style, draws, draws.uniform(0.6, 1.3), draws.uniform(0.8, 2.1)
+    ),
+    "plant": fittings.plant,
+    "pouf": fittings.pouf,
+    "rack": lambda style, draws: storage.rack(style, draws, draws.uniform(0.7, 1.3)),
+    "shoes": fittings.shoes,
+    "sideboard": lambda style, draws: storage.sideboard(
+        style, draws, draws.uniform(0.8, 1.6), draws.uniform(0.75, 0.95)
+    ),
+    "side_table": lambda style, draws: tables.round_table(style, draws, draws.uniform(0.4, 0.55), 0.5),
+    "trolley": storage.trolley,
+    "stool": lambda style, draws: seating.stool(style, draws, draws.choice((0.45, 0.6))),
+}
+"""Makers, by name, of randomly sized furniture that stands along the walls of many kinds of room."""
 
 
 def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: float) -> None:
@@ -51,10 +96,9 @@ def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int) -> No
     """
     half = float(table.item.bounds[1, 0])
     made = 0
-    for side in SIDES[:2]:
-        for k in range(along):
-            offset = (k + 0.5) * 2 * half / along - half
-            made += room.seat(chair, table, side, offset, 0.16) is not None
+    for side, k in product(SIDES[:2], range(along)):
+        offset = (k + 0.5) * 2 * half / along - half
+        made += room.seat(chair, table, side, offset, 0.16) is not None
     for side in SIDES[2:]:
         made += room.seat(chair, table, side, 0.0, 0.16) is not None
     if made < 2:
@@ -76,13 +120,13 @@ def lamp_on(room: Furnisher, host: Placed, x: float = 0.0) -> Placed | None:
     """Place a table lamp on a host, ``x`` metres to the right of its middle."""
     support = host.item.supports[0]
     back = max(0.02, support.size[1] / 2 - 0.16)
-    return room.on(lamps.table_lamp(room.draws, room.glow()), host, x, back)
+    return room.on(lamps.table_lamp(room.draws, room.new_name("glow")), host, x, back)
 
 
 def floor_lamp_somewhere(room: Furnisher) -> Placed | None:
     """Place a floor lamp in a corner or at a wall, with probability 0.75."""
     if room.draws.chance(0.75):
-        return room.at_wall(lamps.floor_lamp(room.draws, room.glow()), where="corner", gap=0.05)
+        return room.at_wall(lamps.floor_lamp(room.draws, room.new_name("glow")), where="corner", gap=0.05)
     return None
 
 
@@ -97,11 +141,11 @@ def pictures(room: Furnisher, most: int) -> None:
     for _ in range(most):
         w, h = draws.choice(_PICTURES_M)
         z = 1.52 - h / 2 + draws.uniform(-0.06, 0.12)
-        item = fittings.picture(style, draws, w, h, room.art())
+        item = fittings.picture(style, draws, w, h, room.new_name("art"))
         first = room.hang(item, z)
         if first is not None and draws.chance(0.35):
             wall = room.wall_of(first)
-            twin = fittings.picture(style, draws, w, h, room.art())
+            twin = fittings.picture(style, draws, w, h, room.new_name("art"))
             if wall is not None:
                 along = float(first.room_from_item[:2, 0] @ first.at[:2])
                 room.hang(twin, z, [wall], along + w + draws.uniform(0.05, 0.12))
@@ -114,7 +158,7 @@ def fill(room: Furnisher, names: Sequence[str], least: int, most: int) -> None:
     for name in draws.shuffled([*names, *names]):
         if wanted == 0:
             return
-        item = EXTRAS[name](room.style, draws)
+        item = _EXTRAS[name](room.style, draws)
         wanted -= room.at_wall(item, where="corner" if draws.chance(0.5) else "any") is not None
 
 
@@ -174,13 +218,10 @@ def ceiling_light(
         columns = max(1, round(shell.width / _SPACING_M)) if many else 1
         rows = max(1, round(shell.depth / _SPACING_M)) if many else 1
         drop = draws.uniform(0.35, 0.6) if shell.height < 2.7 else draws.uniform(0.5, 0.95)
-        for c in range(columns):
-            for r in range(rows):
-                x = -shell.width / 2 + (c + 0.5) * shell.width / columns
-                places.append((x, -shell.depth / 2 + (r + 0.5) * shell.depth / rows))
+        places = list(product(middles(shell.width, columns), middles(shell.depth, rows)))
     made = 0
     for x, y in places:
-        item = _ceiling_lamp(room.glow(), kind, drop, Draws("lamp", look))
+        item = _ceiling_lamp(room.new_name("glow"), kind, drop, Draws("lamp", look))
         for dx, dy in ((0.0, 0.0), (0.3, 0.25), (-0.3, 0.25), (0.4, -0.4)):  # to avoid beams
             if room.ceil(item, x + dx, y + dy) is not None:
                 made += 1
@@ -211,5 +252,25 @@ def desk_place(room: Furnisher, needed: bool) -> bool:
         room.on(tables.monitor(style, draws), desk, draws.uniform(-0.2, 0.2), 0.02)
     if draws.chance(0.6):
         side = draws.choice((-1, 1)) * (desk.item.bounds[1, 0] - 0.2)
-        room.on(lamps.desk_lamp(draws, room.glow()), desk, side, 0.04)
+        room.on(lamps.desk_lamp(draws, room.new_name("glow")), desk, side, 0.04)
     return True
+
+
+def wire(room: Furnisher, draws: Draws) -> None:
+    """Place a switch at the handle of each door, else at its hinges, and up to five sockets.
+
+    Switches and sockets may be behind furniture.
+    """
+    shell = room.shell
+    item = fittings.switch(draws.choice((1, 1, 2)))
+    reach = CASING_M + _CLEAR_M + fittings.PLATE_M / 2 + draws.uniform(0.03, 0.1)
+    for door in shell.doors:
+        for side in (-door.hinge, door.hinge):
+            s = door.s + side * (door.width / 2 + reach)
+            if room.hang(item, _SWITCH_M, [door.wall], s, _CLEAR_M, is_slim=True) is not None:
+                break
+    for _ in range(draws.integer(2, 5)):
+        wall, z = draws.choice(WALLS), _HIGH_M if draws.chance(0.25) else _LOW_M
+        plates = fittings.socket(draws.choice((1, 2)))
+        half = shell.length(wall) / 2 - 0.15
+        room.hang(plates, z, [wall], draws.uniform(-half, half), _CLEAR_M, is_slim=True)

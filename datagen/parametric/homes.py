@@ -6,19 +6,7 @@ Each function raises :class:`Unfit` if a required item does not fit.
 
 from __future__ import annotations
 
-from datagen.parametric import fittings, lamps, sanitary, seating, storage, tables, units
-from datagen.parametric.furnish import (
-    ceiling_light,
-    chairs_around,
-    decorate,
-    desk_place,
-    fill,
-    floor_lamp_somewhere,
-    lamp_on,
-    pictures,
-    plant_somewhere,
-    seats,
-)
+from datagen.parametric import fittings, furnish, lamps, sanitary, seating, storage, tables, units
 from datagen.parametric.layout import LEFT_RIGHT, SIDES, Furnisher, Unfit
 
 
@@ -32,21 +20,21 @@ def bedroom(room: Furnisher) -> None:
         table = storage.bedside(style, draws)
         found = room.beside(table, placed, side)
         if found is not None and draws.chance(0.8):
-            lamp_on(room, found)
+            furnish.lamp_on(room, found)
     room.at_wall(storage.wardrobe(style, draws, draws.integer(2, 4)), where="corner")
     room.at_wall(storage.chest(style, draws, draws.uniform(0.7, 1.2)))
     extra = draws.unit()
     if extra < 0.35:
         room.at_wall(seating.sofa(style, draws, 1), where="corner", gap=0.12)
     elif extra < 0.65:
-        desk_place(room, False)
+        furnish.desk_place(room, False)
     else:
         room.before(seating.bench(style, draws, 1.2, False), placed, 0.04)
     if draws.chance(0.5):
         room.hang(fittings.mirror(style, draws, draws.uniform(0.4, 0.6), draws.uniform(1.2, 1.6)), 0.35)
-    fill(room, ("chest", "bookcase", "pouf", "basket", "chair"), 2, 5)
-    decorate(room, rug=0.6)
-    ceiling_light(room, ("disc", "pendant", "spots"))
+    furnish.fill(room, ("chest", "bookcase", "pouf", "basket", "chair"), 2, 5)
+    furnish.decorate(room, rug=0.6)
+    furnish.ceiling_light(room, ("disc", "pendant", "spots"))
 
 
 def childs_room(room: Furnisher) -> None:
@@ -55,7 +43,7 @@ def childs_room(room: Furnisher) -> None:
     room.at_wall(seating.bed(style, draws, 0.9, is_child=True), where="corner", needed=True)
     room.at_wall(storage.cube_shelf(style, draws, draws.integer(2, 4), draws.integer(2, 3)), needed=True)
     if draws.chance(0.6):
-        desk_place(room, False)
+        furnish.desk_place(room, False)
     else:
         table = room.in_middle(tables.table(style, draws, 0.75, 0.55, 0.5, "low_table"))
         if table is not None:
@@ -66,26 +54,26 @@ def childs_room(room: Furnisher) -> None:
     room.at_wall(storage.wardrobe(style, draws, 2), where="corner")
     if draws.chance(0.6):
         room.at_wall(storage.basket(style, draws))
-    fill(room, ("cubes", "basket", "pouf", "chest"), 2, 6)
-    decorate(room, rug=0.8, round_rug=0.5)
-    ceiling_light(room, ("globe", "disc", "pendant"))
+    furnish.fill(room, ("cubes", "basket", "pouf", "chest"), 2, 6)
+    furnish.decorate(room, rug=0.8, round_rug=0.5)
+    furnish.ceiling_light(room, ("globe", "disc", "pendant"))
 
 
 def study(room: Furnisher) -> None:
     """Place a desk and bookcases."""
     draws, style = room.draws, room.style
-    desk_place(room, True)
+    furnish.desk_place(room, True)
     for _ in range(draws.integer(1, 3)):
         size = draws.uniform(0.8, 1.8), draws.uniform(1.5, 2.2)
         room.at_wall(storage.bookcase(style, draws, *size, fill=0.85))
     if draws.chance(0.7):
         room.at_wall(seating.sofa(style, draws, 1), where="corner", gap=0.15)
-        floor_lamp_somewhere(room)
+        furnish.floor_lamp_somewhere(room)
     if draws.chance(0.4):
         room.at_wall(storage.sideboard(style, draws, draws.uniform(0.9, 1.5)))
-    fill(room, ("chest", "basket", "chair", "crates"), 2, 5)
-    decorate(room, rug=0.6)
-    ceiling_light(room, ("pendant", "disc", "spots"))
+    furnish.fill(room, ("chest", "basket", "chair", "crates"), 2, 5)
+    furnish.decorate(room, rug=0.6)
+    furnish.ceiling_light(room, ("pendant", "disc", "spots"))
 
 
 def living_room(room: Furnisher) -> None:
@@ -113,20 +101,20 @@ def living_room(room: Furnisher) -> None:
     if stand is not None:
         size = min(1.35, float(stand.item.bounds[1, 0] * 2) - 0.3)
         room.on(fittings.television(style, draws, size), stand, 0.0, 0.06)
-    seats(room, draws.integer(0, 2))
+    furnish.seats(room, draws.integer(0, 2))
     if draws.chance(0.7):
         room.at_wall(storage.bookcase(style, draws, draws.uniform(0.8, 1.7), draws.uniform(1.1, 2.1)))
     if draws.chance(0.5):
         item = tables.round_table(style, draws, 0.45, 0.52)
         side = room.beside(item, sofa, draws.choice(LEFT_RIGHT), 0.06)
         if side is not None:
-            lamp_on(room, side)
-    floor_lamp_somewhere(room)
+            furnish.lamp_on(room, side)
+    furnish.floor_lamp_somewhere(room)
     if draws.chance(0.35):
         room.hang(fittings.mirror(style, draws, draws.uniform(0.6, 0.9), draws.uniform(0.8, 1.2)), 0.95)
-    fill(room, ("sideboard", "chest", "bookcase", "trolley", "pouf", "basket", "side_table"), 2, 5)
-    decorate(room, rug=0.0 if rug else 0.3)
-    ceiling_light(room, ("pendant", "globe", "disc", "spots"))
+    furnish.fill(room, ("sideboard", "chest", "bookcase", "trolley", "pouf", "basket", "side_table"), 2, 5)
+    furnish.decorate(room, rug=0.0 if rug else 0.3)
+    furnish.ceiling_light(room, ("pendant", "globe", "disc", "spots"))
 
 
 def dining_room(room: Furnisher) -> None:
@@ -141,7 +129,7 @@ def dining_room(room: Furnisher) -> None:
     table = room.in_middle(item, True, 0.25)
     assert table is not None
     chair = seating.chair(style, draws)
-    chairs_around(room, table, chair, 1 if is_round else max(2, int(long / 0.68)))
+    furnish.chairs_around(room, table, chair, 1 if is_round else max(2, int(long / 0.68)))
     sideboard = storage.sideboard(style, draws, draws.uniform(1.2, 2.0), draws.uniform(0.75, 0.95))
     room.at_wall(sideboard, where="middle")
     if draws.chance(0.5):
@@ -149,9 +137,9 @@ def dining_room(room: Furnisher) -> None:
         room.at_wall(storage.bookcase(style, draws, *size, 0.36, 0.25), where="corner")
     if draws.chance(0.35):
         room.hang(fittings.mirror(style, draws, draws.uniform(0.6, 1.0), draws.uniform(0.7, 1.1)), 1.0)
-    fill(room, ("chest", "trolley", "open_shelf", "chair", "bench", "basket"), 2, 6)
-    decorate(room, rug=0.0)
-    ceiling_light(room, ("pendant", "pendant", "globe"), over=table)
+    furnish.fill(room, ("chest", "trolley", "open_shelf", "chair", "bench", "basket"), 2, 6)
+    furnish.decorate(room, rug=0.0)
+    furnish.ceiling_light(room, ("pendant", "pendant", "globe"), over=table)
 
 
 def kitchen(room: Furnisher) -> None:
@@ -179,14 +167,14 @@ def kitchen(room: Furnisher) -> None:
             item = tables.table(style, draws, draws.uniform(0.9, 1.4), draws.uniform(0.7, 0.85))
         table = room.in_middle(item)
         if table is not None:
-            chairs_around(room, table, seating.chair(style, draws), 1 if is_round else 2)
+            furnish.chairs_around(room, table, seating.chair(style, draws), 1 if is_round else 2)
     else:
         room.at_wall(units.kitchen_run(style, draws, ["drawers", "doors"], False))
     if draws.chance(0.6):
         room.hang(storage.wall_shelf(style, draws, draws.uniform(0.7, 1.2), draws.integer(1, 2)), 1.45)
-    fill(room, ("trolley", "bin", "sideboard", "stool", "rack", "basket", "open_shelf"), 2, 5)
-    decorate(room, rug=0.0, most=1)
-    ceiling_light(room, ("spots", "disc", "pendant", "panel"))
+    furnish.fill(room, ("trolley", "bin", "sideboard", "stool", "rack", "basket", "open_shelf"), 2, 5)
+    furnish.decorate(room, rug=0.0, most=1)
+    furnish.ceiling_light(room, ("spots", "disc", "pendant", "panel"))
 
 
 def bathroom(room: Furnisher) -> None:
@@ -199,7 +187,7 @@ def bathroom(room: Furnisher) -> None:
     width = float(basin.item.bounds[1, 0] * 2) * draws.uniform(0.7, 1.0)
     glass = room.over(fittings.mirror(style, draws, width, draws.uniform(0.6, 0.85)), basin, 1.2)
     if glass is not None:
-        room.over(lamps.wall_lamp(draws, room.glow()), basin, 2.13)
+        room.over(lamps.wall_lamp(draws, room.new_name("glow")), basin, 2.13)
     room.at_wall(sanitary.toilet(style, draws), needed=True, gap=0.016)
     if draws.chance(0.7):
         room.hang(sanitary.towel_rail(style, draws), 0.5)
@@ -210,12 +198,12 @@ def bathroom(room: Furnisher) -> None:
         cupboard = storage.cabinet("cupboard", style, tall, [("door", 0.8)] * 2, 1, 0.06)
         room.at_wall(cupboard, where="corner")
     if draws.chance(0.3):
-        plant_somewhere(room)
-    fill(room, ("bin", "basket", "stool", "trolley", "cupboard"), 2, 6)
+        furnish.plant_somewhere(room)
+    furnish.fill(room, ("bin", "basket", "stool", "trolley", "cupboard"), 2, 6)
     if draws.chance(0.6):
         room.hang(storage.wall_shelf(style, draws, draws.uniform(0.4, 0.7), draws.integer(1, 2)), 1.4)
-    pictures(room, draws.integer(0, 2))
-    ceiling_light(room, ("disc", "spots", "panel"))
+    furnish.pictures(room, draws.integer(0, 2))
+    furnish.ceiling_light(room, ("disc", "spots", "panel"))
 
 
 def hallway(room: Furnisher) -> None:
@@ -234,7 +222,7 @@ def hallway(room: Furnisher) -> None:
         size = draws.uniform(0.45, 0.7), draws.uniform(0.6, tallest)
         room.over(fittings.mirror(style, draws, *size), host, z)
         if kind < 0.5:
-            lamp_on(room, host, 0.3)
+            furnish.lamp_on(room, host, 0.3)
     coats = room.hang(storage.coat_rail(style, draws, draws.uniform(0.8, 1.3)), 1.6)
     if coats is not None and draws.chance(0.7):
         wall = room.wall_of(coats)
@@ -248,10 +236,10 @@ def hallway(room: Furnisher) -> None:
         room.at_wall(fittings.shoes(style, draws))
     if draws.chance(0.5):
         room.at_wall(storage.basket(style, draws))
-    fill(room, ("chest", "basket", "shoes", "pouf", "bookcase"), 2, 5)
-    decorate(room, rug=0.7)
+    furnish.fill(room, ("chest", "basket", "shoes", "pouf", "bookcase"), 2, 5)
+    furnish.decorate(room, rug=0.7)
     is_long = max(room.shell.width, room.shell.depth) > 4
-    ceiling_light(room, ("disc", "globe", "spots", "pendant"), many=is_long)
+    furnish.ceiling_light(room, ("disc", "globe", "spots", "pendant"), many=is_long)
 
 
 def bedsit(room: Furnisher) -> None:
@@ -263,12 +251,12 @@ def bedsit(room: Furnisher) -> None:
     assert bed is not None
     table = room.in_middle(tables.round_table(style, draws, draws.uniform(0.7, 0.9)))
     if table is not None:
-        chairs_around(room, table, seating.chair(style, draws), 1)
+        furnish.chairs_around(room, table, seating.chair(style, draws), 1)
     room.at_wall(storage.wardrobe(style, draws, 2), where="corner")
     if draws.chance(0.6):
         room.at_wall(seating.sofa(style, draws, 2))
     else:
-        desk_place(room, False)
-    floor_lamp_somewhere(room)
-    decorate(room, rug=0.4)
-    ceiling_light(room, ("disc", "pendant", "spots"), many=True)
+        furnish.desk_place(room, False)
+    furnish.floor_lamp_somewhere(room)
+    furnish.decorate(room, rug=0.4)
+    furnish.ceiling_light(room, ("disc", "pendant", "spots"), many=True)

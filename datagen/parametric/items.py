@@ -13,8 +13,9 @@ from typing import Literal
 import numpy as np
 
 from datagen.formats.asset import SupportKind
+from datagen.foundation.axes import affine, rotation
 from datagen.foundation.random import Draws
-from datagen.parametric.shapes import Floats, Point, Shape, rotation
+from datagen.parametric.shapes import Floats, Point, Shape
 
 Handle = Literal["bar", "knob", "grip"]
 Front = Literal["flat", "framed"]
@@ -136,10 +137,7 @@ class Placed:
     @property
     def room_from_item(self) -> Floats:
         """The rigid transform (4, 4) from the item's frame to the room's."""
-        matrix = np.eye(4)
-        matrix[:3, :3] = np.round(rotation("z", self.yaw_rad), 12)
-        matrix[:3, 3] = self.at
-        return matrix
+        return affine(np.round(rotation("z", self.yaw_rad), 12), self.at)
 
     def point(self, x: float, y: float, z: float = 0.0) -> Point:
         """Return the position in the room of a point of the item's frame."""

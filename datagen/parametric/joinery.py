@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 from datagen.foundation.random import Draws
 from datagen.parametric.items import Item, Style
@@ -112,17 +113,16 @@ def legs(
     """Add four legs ``height`` metres high with outer faces at ``corners`` (x0, x1, y0, y1)."""
     x0, x1, y0, y1 = corners
     t = thickness
-    for x in (x0 + t / 2, x1 - t / 2):
-        for y in (y0 + t / 2, y1 - t / 2):
-            if style.legs == "square":
-                leg = box((t, t, height), (x, y, 0), 0.004, grain=2)
-            elif style.legs == "metal":
-                leg = box((0.7 * t, 0.7 * t, height), (x, y, 0), 0.003, grain=2)
-            else:
-                low = 0.3 * t if style.legs == "tapered" else 0.42 * t
-                profile = [(0, 0), (low, 0), (low + 0.001, 0.004), (0.5 * t, height), (0, height)]
-                leg = lathe(profile, (x, y, 0), 12)
-            item.add(slot or style.leg_slot, leg)
+    for x, y in product((x0 + t / 2, x1 - t / 2), (y0 + t / 2, y1 - t / 2)):
+        if style.legs == "square":
+            leg = box((t, t, height), (x, y, 0), 0.004, grain=2)
+        elif style.legs == "metal":
+            leg = box((0.7 * t, 0.7 * t, height), (x, y, 0), 0.003, grain=2)
+        else:
+            low = 0.3 * t if style.legs == "tapered" else 0.42 * t
+            profile = [(0, 0), (low, 0), (low + 0.001, 0.004), (0.5 * t, height), (0, height)]
+            leg = lathe(profile, (x, y, 0), 12)
+        item.add(slot or style.leg_slot, leg)
 
 
 def books(item: Item, draws: Draws, x0: float, x1: float, y: float, z: float, height: float) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 
 from datagen.foundation.random import Draws
 from datagen.parametric.items import Item, Lamp, LampPlace
-from datagen.parametric.shapes import Point, ball, box, cylinder, lathe, rounded_box, tube
+from datagen.parametric.shapes import Point, ball, box, cylinder, lathe, middles, rounded_box, tube
 
 _WARM = (2500.0, 3100.0)  # incandescent, halogen and warm LED
 _COOL = (3500.0, 5000.0)  # offices and workshops
@@ -136,8 +136,7 @@ def spots(draws: Draws, slot: str) -> Item:
     item, length = Item("spots", hold="ceiling"), 1.2
     item.add("metal", box((length, 0.034, 0.03), (0, 0, -0.03), 0.004))
     count = draws.integer(3, 4)
-    for k in range(count):
-        x = -length / 2 + (k + 0.5) * length / count
+    for x in middles(length, count):
         item.add("metal", tube([(x, 0, -0.028), (x, 0, -0.075)], 0.008, 8))
         tilt, turn = draws.uniform(10, 40), draws.uniform(0, 360)
         profile = [(0, 0.02), (0.029, 0.02), (0.031, 0.0), (0.034, 0.0), (0.032, 0.09), (0.02, 0.1)]

@@ -16,10 +16,11 @@ from typing import Literal
 
 import numpy as np
 
+from datagen.foundation.axes import rotation
 from datagen.foundation.random import Draws
 from datagen.parametric.checks import front_zone, meets, overlap, reaches, walkable
 from datagen.parametric.items import Item, Placed, Style, hull_of
-from datagen.parametric.shapes import Floats, Point, rotation
+from datagen.parametric.shapes import Floats, Point
 from datagen.parametric.shell import CASING_M, WALLS, Shell, Wall, Window, swing
 
 OFF_WALL_M = 0.03  # gap behind furniture, which leaves space for the skirting
@@ -46,8 +47,6 @@ class Furnisher:
     zones: list[tuple[str, Floats]] = field(default_factory=list)
     _boxes: list[Floats] = field(default_factory=list)
     _names: Counter[str] = field(default_factory=Counter)
-    _num_glows: int = 0
-    _num_arts: int = 0
 
     def __post_init__(self) -> None:
         for k, door in enumerate(self.shell.doors):
@@ -73,26 +72,15 @@ class Furnisher:
         """Return the walls without windows, in random order."""
         return self.draws.shuffled([w for w in WALLS if not any(x.wall == w for x in self.shell.windows)])
 
-    def glow(self) -> str:
-        """Return the name of a new slot for a lamp's emitting surface."""
-        self._num_glows += 1
-        return f"glow_{self._num_glows - 1}"
-
-    def art(self) -> str:
-        """Return the name of a new slot for a print."""
-        self._num_arts += 1
-        return f"art_{self._num_arts - 1}"
-
-    def reserve(self, built: Placed) -> None:
-        """Add the boxes of a built-in item to the spaces that must remain free."""
-        self.zones += [(built.name, box) for box in built.boxes()]
+    def new_name(self, name: str) -> str:
+        """Return a new numbered name of an item, or of a slot for a lamp (``glow``) or a print (``art``)."""
+        self._names[name] += 1
+        return f"{name}_{self._names[name] - 1}"
 
     def take(self, item: Item, at: Point, yaw: float, stands_on: str = "") -> Placed:
         """Place an item without checking its position; :func:`faults_of` checks it later."""
-        number = self._names[item.name]
-        self._names[item.name] += 1
         rounded = (round(at[0], 6), round(at[1], 6), round(at[2], 6))
-        placed = Placed(item, f"{item.name}_{number}", rounded, round(yaw, 6), stands_on)
+        placed = Placed(item, self.new_name(item.name), rounded, round(yaw, 6), stands_on)
         self.placed.append(placed)
         self._boxes.append(placed.boxes())
         if item.front_m > 0 and item.hold == "floor":

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import colorsys
 import io
+from itertools import product
 
 import numpy as np
 from PIL import Image
@@ -84,13 +85,12 @@ def _twig(picture: Floats, x: Floats, y: Floats, inks: list[Floats], draws: Draw
         return np.asarray(0.5 + lean * (t - 0.5) + bend * (t - 0.5) ** 2)
 
     picture[(np.abs(x - middle(y)) < 0.006) & (y > 0.15) & (y < 0.92)] = 0.5 * inks[0]
-    for t in np.linspace(0.2, 0.75, draws.integer(4, 8)).tolist():
-        for side in (-1, 1):
-            along = 0.8 * side * (x - middle(t)) - 0.6 * (y - t)
-            across = 0.6 * side * (x - middle(t)) + 0.8 * (y - t)
-            s = np.clip(along / length, 0, 1)
-            inside = (along > 0) & (along < length) & (np.abs(across) < width * length * s * (1 - s) * 2)
-            picture[inside] = inks[0] if side < 0 else inks[1]
+    for t, side in product(np.linspace(0.2, 0.75, draws.integer(4, 8)).tolist(), (-1, 1)):
+        along = 0.8 * side * (x - middle(t)) - 0.6 * (y - t)
+        across = 0.6 * side * (x - middle(t)) + 0.8 * (y - t)
+        s = np.clip(along / length, 0, 1)
+        inside = (along > 0) & (along < length) & (np.abs(across) < width * length * s * (1 - s) * 2)
+        picture[inside] = inks[0] if side < 0 else inks[1]
 
 
 def _strokes(picture: Floats, x: Floats, y: Floats, inks: list[Floats], draws: Draws) -> None:
@@ -98,9 +98,8 @@ def _strokes(picture: Floats, x: Floats, y: Floats, inks: list[Floats], draws: D
     t = np.linspace(0, 2 * np.pi, 3000)
     for ink in inks[: draws.integer(1, 3)]:
         at = np.full((2, t.size), 0.5)
-        for k in range(1, 5):
-            for row in at:
-                row += 0.3 / k**1.3 * draws.uniform(-1, 1) * np.sin(k * t + draws.uniform(0, 6))
+        for k, row in product(range(1, 5), at):
+            row += 0.3 / k**1.3 * draws.uniform(-1, 1) * np.sin(k * t + draws.uniform(0, 6))
         columns, rows = np.clip(at * [[_WIDTH], [_HEIGHT]], 1, _WIDTH - 2).astype(np.int64)
         for shift in (0, 1):
             picture[rows + shift, columns] = picture[rows, columns + shift] = 0.4 * ink

@@ -14,8 +14,7 @@ from datagen.formats.base import quantized
 from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
 from datagen.parametric.checks import Furnished, faults_of
-from datagen.parametric.electrics import wire
-from datagen.parametric.furnish import dress_windows
+from datagen.parametric.furnish import dress_windows, wire
 from datagen.parametric.items import Placed, Style
 from datagen.parametric.kinds import KINDS, Kind
 from datagen.parametric.layout import Furnisher, Unfit
@@ -51,7 +50,8 @@ def make_room(kind: str, seed: str, has_scenery: bool = True) -> MadeRoom:
         room = Furnisher(shell, Style.draw(Draws(*key, "style")), Draws(*key, "furniture"))
         built = shell_items(shell, Draws(*key, "built"))
         if shell.has_beams:
-            room.reserve(next(p for p in built if p.name == "beams"))
+            beams = next(p for p in built if p.name == "beams")
+            room.zones += [("beams", box) for box in beams.boxes()]
         try:
             dress_windows(room, spec.curtains, spec.blinds, spec.radiators)
             spec.furnish(room)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
 from datagen.foundation.random import Draws
@@ -49,9 +51,8 @@ def vanity(style: Style, draws: Draws, width: float) -> Item:
     on_legs = draws.chance(0.35)
     foot = 0.22 if on_legs else 0.06
     if on_legs:
-        for x in (-width / 2 + 0.035, width / 2 - 0.035):
-            for y in (-d + 0.04, -0.035):
-                item.add("legs", box((0.035, 0.035, foot + 0.0005), (x, y, 0), 0.003))
+        for x, y in product((-width / 2 + 0.035, width / 2 - 0.035), (-d + 0.04, -0.035)):
+            item.add("legs", box((0.035, 0.035, foot + 0.0005), (x, y, 0), 0.003))
     else:
         item.add("wood", box((width - 0.04, d - 0.1, foot + 0.0005), (0, -d / 2 + 0.03, 0), 0.001))
     item.add("wood", box((width, d - 0.02, h - foot - 0.03), (0, -d / 2 + 0.01, foot), 0.002))

@@ -4,13 +4,25 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import numpy as np
 
 from datagen.foundation.random import Draws
 from datagen.parametric.items import Item, Style
 from datagen.parametric.joinery import castor, legs, ring_of
-from datagen.parametric.shapes import Shape, box, cylinder, flipped, grid, joined, lathe, rounded_box, tube
+from datagen.parametric.shapes import (
+    Shape,
+    box,
+    cylinder,
+    flipped,
+    grid,
+    joined,
+    lathe,
+    middles,
+    rounded_box,
+    tube,
+)
 
 
 def chair(style: Style, draws: Draws) -> Item:
@@ -98,9 +110,8 @@ def sofa(style: Style, draws: Draws, seats: int) -> Item:
     top, side = draws.uniform(0.76, 0.88), draws.uniform(0.56, 0.64)
     r = 0.05 if style.is_soft else 0.022
     leg = [(0, 0), (0.013, 0), (0.022, foot + 0.01), (0, foot + 0.01)]
-    for x in (-w / 2 + 0.07, w / 2 - 0.07):
-        for y in (-d + 0.07, -0.07):
-            item.add("legs", lathe(leg, (x, y, 0), 12))
+    for x, y in product((-w / 2 + 0.07, w / 2 - 0.07), (-d + 0.07, -0.07)):
+        item.add("legs", lathe(leg, (x, y, 0), 12))
     base = (w - 2 * arm + 0.02, d - 0.06, seat - 0.13 - foot)
     item.add("sofa", rounded_box(base, 0.02, (0, -d / 2 - 0.02, foot), 2))
     for s in (-1, 1):
@@ -131,9 +142,8 @@ def bench(style: Style, draws: Draws, width: float, upholstered: bool) -> Item:
     if upholstered:
         item.add("wood", box((width, d - 0.06, 0.32), (0, -d / 2 + 0.03, 0), 0.004, grain=0))
         count = max(1, round(width / 0.7))
-        for k in range(count):
-            x = -width / 2 + (k + 0.5) * width / count
-            each = width / count
+        each = width / count
+        for x in middles(width, count):
             at = (x, -d / 2 - 0.03, 0.322)
             item.add("seat", rounded_box((each - 0.004, d - 0.06, 0.11), 0.03, at, 2, 0.01))
             item.add("seat", rounded_box((each - 0.006, 0.09, 0.4), 0.03, (x, -0.05, 0.45), 2, 0.008))
@@ -168,9 +178,8 @@ def bed(style: Style, draws: Draws, width: float, is_child: bool = False) -> Ite
         item.add(frame, box((0.028, length - 0.04, 0.17), (x, y0 - length / 2, level - 0.12), 0.004, grain=1))
     item.add(frame, box((w - 0.057, 0.028, 0.17), (0, y0 - length + 0.03, level - 0.12), 0.004, grain=0))
     item.add("wood", box((w - 0.06, length - 0.08, 0.02), (0, y0 - length / 2, level - 0.04), 0.0))
-    for x in (-w / 2 + 0.05, w / 2 - 0.05):
-        for y in (y0 - 0.06, y0 - length + 0.08):
-            item.add(style.leg_slot, box((0.05, 0.05, level - 0.12), (x, y, 0), 0.004, grain=2))
+    for x, y in product((-w / 2 + 0.05, w / 2 - 0.05), (y0 - 0.06, y0 - length + 0.08)):
+        item.add(style.leg_slot, box((0.05, 0.05, level - 0.12), (x, y, 0), 0.004, grain=2))
     thick = draws.uniform(0.18, 0.24)
     base = level - 0.018
     item.add("mattress", rounded_box((width, length - 0.09, thick), 0.045, (0, y0 - length / 2, base), 3))

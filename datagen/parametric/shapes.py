@@ -11,9 +11,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+
+from datagen.foundation.axes import rotation
+from datagen.foundation.meshes.mesh import area_vectors, unit_vectors
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -53,14 +57,9 @@ class Shape:
         return np.stack([self.points.min(axis=0), self.points.max(axis=0)])
 
 
-def rotation(axis: str, angle_rad: float) -> Floats:
-    """Return the right-handed rotation matrix (3, 3) about the axis ``x``, ``y`` or ``z``."""
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
-    k = "xyz".index(axis)
-    a, b = (k + 1) % 3, (k + 2) % 3
-    matrix = np.eye(3)
-    matrix[a, a], matrix[a, b], matrix[b, a], matrix[b, b] = c, -s, s, c
-    return matrix
+def middles(length: float, count: int) -> list[float]:
+    """Return the middles of ``count`` equal intervals of [-length/2, length/2]."""
+    return [-length / 2 + (k + 0.5) * length / count for k in range(count)]
 
 
 def joined(shapes: Sequence[Shape]) -> Shape:
@@ -149,27 +148,26 @@ def rounded_box(
     inner = 3 if bulge else 0
     thin = int(np.argmin(half))
     shapes = []
-    for a in range(3):
-        for s in (-1.0, 1.0):
-            b, c = (a + 1) % 3, (a + 2) % 3
-            grids = []
-            for k in (b, c):
-                flat = half[k] - r
-                middle = np.linspace(-flat, flat, inner + 2)[1:-1]
-                base = np.concatenate([np.full(segments + 1, -flat), middle, np.full(segments + 1, flat)])
-                grids.append((base, np.concatenate([angles, np.zeros(inner), -angles[::-1]])))
-            (pb, ab), (pc, ac) = grids
-            direction = np.zeros((len(pc), len(pb), 3))
-            direction[..., a] = s
-            direction[..., b] = np.tan(ab)[None]
-            direction[..., c] = np.tan(ac)[:, None]
-            direction /= np.linalg.norm(direction, axis=2, keepdims=True)
-            points = r * direction
-            points[..., a] += s * (half[a] - r)
-            points[..., b] += pb[None]
-            points[..., c] += pc[:, None]
-            sheet = _lattice(points, direction, (pb + r * ab)[None] * s, (pc + r * ac)[:, None])
-            shapes.append(sheet if s > 0 else replace(sheet, faces=sheet.faces[:, ::-1]))
+    for a, s in product(range(3), (-1.0, 1.0)):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        grids = []
+        for k in (b, c):
+            flat = half[k] - r
+            middle = np.linspace(-flat, flat, inner + 2)[1:-1]
+            base = np.concatenate([np.full(segments + 1, -flat), middle, np.full(segments + 1, flat)])
+            grids.append((base, np.concatenate([angles, np.zeros(inner), -angles[::-1]])))
+        (pb, ab), (pc, ac) = grids
+        direction = np.zeros((len(pc), len(pb), 3))
+        direction[..., a] = s
+        direction[..., b] = np.tan(ab)[None]
+        direction[..., c] = np.tan(ac)[:, None]
+        direction /= np.linalg.norm(direction, axis=2, keepdims=True)
+        points = r * direction
+        points[..., a] += s * (half[a] - r)
+        points[..., b] += pb[None]
+        points[..., c] += pc[:, None]
+        sheet = _lattice(points, direction, (pb + r * ab)[None] * s, (pc + r * ac)[:, None])
+        shapes.append(sheet if s > 0 else replace(sheet, faces=sheet.faces[:, ::-1]))
     shape = joined(shapes)
     points = shape.points
     if bulge:
@@ -201,13 +199,11 @@ def smooth(shape: Shape) -> Shape:
     """Return the shape with area-weighted normals that coincident vertices share."""
     _, spot = np.unique(np.round(shape.points, 7), axis=0, return_inverse=True)
     spot = spot.reshape(-1)
-    p = shape.points[shape.faces]
-    cross = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    cross = area_vectors(shape.points[shape.faces])
     total = np.zeros((int(spot.max()) + 1, 3))
     for k in range(3):
         np.add.at(total, spot[shape.faces[:, k]], cross)
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return replace(shape, normals=(total / np.maximum(length, 1e-30))[spot])
+    return replace(shape, normals=unit_vectors(total)[spot])
 
 
 def grid(points: Floats) -> Shape:
@@ -225,8 +221,7 @@ def flipped(shape: Shape) -> Shape:
 
 def without_slivers(shape: Shape) -> Shape:
     """Return the shape without triangles of zero area."""
-    p = shape.points[shape.faces]
-    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    area = np.linalg.norm(area_vectors(shape.points[shape.faces]), axis=1)
     return replace(shape, faces=shape.faces[area > 1e-12])
 
 
@@ -316,8 +311,7 @@ def tube(path: Sequence[Point], radius: float, segments: int = 8) -> Shape:
 
 def _wound(shape: Shape) -> Shape:
     """Return the shape with each triangle wound to agree with its vertex normals."""
-    p = shape.points[shape.faces]
-    cross = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    cross = area_vectors(shape.points[shape.faces])
     inward = (cross * shape.normals[shape.faces].mean(axis=1)).sum(axis=1) < 0
     faces = np.where(inward[:, None], shape.faces[:, ::-1], shape.faces)
     return replace(shape, faces=faces)

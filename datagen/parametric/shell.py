@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Literal
 
 import numpy as np
 
+from datagen.foundation.axes import rotation
 from datagen.foundation.random import Draws
 from datagen.parametric.items import Item, Placed
 from datagen.parametric.shapes import (
@@ -25,7 +27,7 @@ from datagen.parametric.shapes import (
     frame,
     grid,
     lathe,
-    rotation,
+    middles,
     tube,
 )
 
@@ -202,9 +204,7 @@ def _cornice(item: Item, shell: Shell, wall: Wall) -> None:
 
 def _beams(shell: Shell) -> Placed:
     item = Item("beams", hold="ceiling")
-    count = max(2, round(shell.width / 1.1))
-    for k in range(count):
-        x = -shell.width / 2 + (k + 0.5) * shell.width / count
+    for x in middles(shell.width, max(2, round(shell.width / 1.1))):
         item.add("second", box((0.12, shell.depth, 0.14), (x, 0, -0.14), 0.008, grain=1))
     return Placed(item, "beams", (0.0, 0.0, shell.height), 0.0)
 
@@ -248,11 +248,10 @@ def _door(door: Door, panels: str) -> Item:
     w, h = door.width, door.height
     item.add("door", box((w, 0.03, h), (0, -0.003, 0.006), 0.003, grain=2))
     if panels == "framed":
-        for low, high in ((0.14, 0.8), (0.94, h - 0.14)):
-            for side in (-1, 1):
-                pw = (w - 0.36) / 2
-                x = side * (pw / 2 + 0.06)
-                item.add("door", box((pw, 0.012, high - low), (x, -0.0195, low), 0.009, grain=2))
+        for (low, high), side in product(((0.14, 0.8), (0.94, h - 0.14)), (-1, 1)):
+            pw = (w - 0.36) / 2
+            x = side * (pw / 2 + 0.06)
+            item.add("door", box((pw, 0.012, high - low), (x, -0.0195, low), 0.009, grain=2))
     elif panels == "glazed":
         for r in range(3):
             z = 0.75 + r * (h - 0.95) / 3
@@ -348,10 +347,9 @@ def _houses(draws: Draws, y: float, level: float) -> list[tuple[Shape, str]]:
         found.append((box((w, 6.0, h), (x + w / 2, y + 3 + back, level), 0.0), slot))
         found.append((box((w + 0.4, 6.6, 0.35), (x + w / 2, y + 3 + back, level + h - 0.01), 0.02), "roof"))
         columns, rows = max(2, round(w / 2.4)), max(1, int(h / 2.9))
-        for c in range(columns):
-            for r in range(rows):
-                at = (x + (c + 0.5) * w / columns, y + back, level + 0.9 + r * 2.9)
-                found.append((box((1.25, 0.08, 1.65), (at[0], at[1] - 0.01, at[2] - 0.05), 0.01), "mount"))
-                found.append((box((1.1, 0.06, 1.5), (at[0], at[1] - 0.04, at[2]), 0.01), "pane"))
+        for c, r in product(range(columns), range(rows)):
+            at = (x + (c + 0.5) * w / columns, y + back, level + 0.9 + r * 2.9)
+            found.append((box((1.25, 0.08, 1.65), (at[0], at[1] - 0.01, at[2] - 0.05), 0.01), "mount"))
+            found.append((box((1.1, 0.06, 1.5), (at[0], at[1] - 0.04, at[2]), 0.01), "pane"))
         x += w + draws.choice((0.02, 0.02, 2.5))
     return found

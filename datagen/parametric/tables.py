@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 from datagen.foundation.random import Draws
 from datagen.parametric.items import Item, Style
@@ -79,9 +80,8 @@ def desk(style: Style, draws: Draws, width: float) -> Item:
     if width > 1.15:
         x = side * (width / 2 - w / 2 - 0.03)
         item.add("wood", box((w, depth - 0.08, h - thick - 0.06), (x, -depth / 2, 0.0605), 0.002, grain=2))
-        for fx in (x - w / 2 + 0.05, x + w / 2 - 0.05):
-            for fy in (-0.1, -depth + 0.1):
-                item.add(style.leg_slot, cylinder(0.016, 0.061, (fx, fy, 0), 10))
+        for fx, fy in product((x - w / 2 + 0.05, x + w / 2 - 0.05), (-0.1, -depth + 0.1)):
+            item.add(style.leg_slot, cylinder(0.016, 0.061, (fx, fy, 0), 10))
         rows = [("drawer", 0.28), ("drawer", 0.18), ("drawer", h - thick - 0.06 - 0.46)]
         fronts(item, style, w, (x, -depth + 0.04, 0.06), rows)
         corners = (

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
 from datagen.foundation.random import Draws
@@ -15,6 +17,7 @@ from datagen.parametric.shapes import (
     cylinder,
     lathe,
     loft,
+    middles,
     rounded_box,
     rounded_ring,
     tube,
@@ -135,9 +138,8 @@ def _tall_unit(item: Item, style: Style, x: float, kind: str) -> None:
             for dz in (0.01, 0.23):
                 foot = [(x - 0.25, y, level + dz) for y in (-0.66, -0.688)]
                 item.add("metal", tube(foot, 0.006, 6))
-        for dx in (-0.24, 0.24):
-            for y in (-0.08, -0.5):
-                item.add("dark", cylinder(0.02, 0.032, (x + dx, y, 0), 10))
+        for dx, y in product((-0.24, 0.24), (-0.08, -0.5)):
+            item.add("dark", cylinder(0.02, 0.032, (x + dx, y, 0), 10))
         return
     item.add("wood", box((0.6, 0.5, 0.1005), (x, -0.27, 0), 0.001))
     item.add("wood", box((0.598, 0.56, h - 0.1), (x, -0.285, 0.1), 0.001))
@@ -192,9 +194,8 @@ def washing_machine(style: Style, draws: Draws, stacked: bool = False) -> Item:
     item = Item("washing_machine", front_m=0.7)
     for k in range(2 if stacked else 1):
         z = 0.86 * k + (0.002 if k else 0.0)
-        for dx in (-0.24, 0.24):
-            for y in (-0.07, -0.5):
-                item.add("dark", cylinder(0.02, 0.022, (dx, y, z), 10))
+        for dx, y in product((-0.24, 0.24), (-0.07, -0.5)):
+            item.add("dark", cylinder(0.02, 0.022, (dx, y, z), 10))
         item.add("appliance", rounded_box((0.6, 0.56, 0.835), 0.012, (0, -0.29, z + 0.02), 2))
         _washer_front(item, 0.0, -0.57, z + 0.02, 0.835)
     if not stacked:
@@ -214,8 +215,7 @@ def bar_counter(style: Style, draws: Draws, width: float) -> Item:
     item.add("wood", box((width - 0.06, d - 0.1, 0.0905), (0, -d / 2, 0), 0.001))
     item.add("front", box((width, d - 0.06, h - 0.13), (0, -d / 2, 0.09), 0.003, grain=0))
     count = max(3, round(width / 0.35))
-    for k in range(count):
-        x = -width / 2 + (k + 0.5) * width / count
+    for x in middles(width, count):
         item.add("front", box((width / count - 0.05, 0.02, h - 0.3), (x, -d + 0.022, 0.17), 0.008, grain=2))
     item.add("worktop", box((width + 0.06, d + 0.04, 0.04), (0, -d / 2, h - 0.04), 0.005, grain=0))
     x = -width / 2 + 0.45

@@ -6,18 +6,7 @@ Each function raises :class:`Unfit` if a required item does not fit.
 
 from __future__ import annotations
 
-from datagen.parametric import fittings, seating, storage, tables, units
-from datagen.parametric.furnish import (
-    ceiling_light,
-    chairs_around,
-    decorate,
-    desk_place,
-    fill,
-    floor_lamp_somewhere,
-    lamp_on,
-    pictures,
-    seats,
-)
+from datagen.parametric import fittings, furnish, seating, storage, tables, units
 from datagen.parametric.layout import LEFT_RIGHT, SIDES, Furnisher, Unfit
 from datagen.parametric.shell import WALLS
 
@@ -36,9 +25,9 @@ def office(room: Furnisher) -> None:
         room.seat(seating.office_chair(style, draws), first, "front", 0.0, 0.1)
         room.on(tables.monitor(style, draws), first, draws.uniform(-0.2, 0.2), 0.05)
     for _ in range(draws.integer(1, 3)):
-        made += desk_place(room, False)
+        made += furnish.desk_place(room, False)
     if not made:
-        desk_place(room, True)
+        furnish.desk_place(room, True)
     for _ in range(draws.integer(1, 2)):
         if draws.unit() < 0.5:
             size = draws.uniform(0.8, 1.6), draws.uniform(1.2, 2.05)
@@ -49,9 +38,9 @@ def office(room: Furnisher) -> None:
         room.hang(fittings.board(style, draws, draws.uniform(1.2, 1.8), 0.95, "white_board"), 0.95)
     if draws.chance(0.6):
         room.hang(fittings.clock(style, draws), 1.95)
-    fill(room, ("files", "lockers", "bin", "bookcase", "chair", "crates"), 2, 6)
-    decorate(room, rug=0.1, is_home=False)
-    ceiling_light(room, ("panel", "panel", "spots"), many=True)
+    furnish.fill(room, ("files", "lockers", "bin", "bookcase", "chair", "crates"), 2, 6)
+    furnish.decorate(room, rug=0.1, is_home=False)
+    furnish.ceiling_light(room, ("panel", "panel", "spots"), many=True)
 
 
 def meeting_room(room: Furnisher) -> None:
@@ -62,14 +51,14 @@ def meeting_room(room: Furnisher) -> None:
     assert table is not None
     office = draws.chance(0.5)
     chair = seating.office_chair(style, draws) if office else seating.chair(style, draws)
-    chairs_around(room, table, chair, max(2, int(length / 0.72)))
+    furnish.chairs_around(room, table, chair, max(2, int(length / 0.72)))
     room.hang(fittings.board(style, draws, draws.uniform(1.5, 2.0), 1.05, "white_board"), 0.9)
     room.at_wall(storage.sideboard(style, draws, draws.uniform(1.2, 1.8)))
     if draws.chance(0.5):
         room.hang(fittings.clock(style, draws), 1.95)
-    fill(room, ("sideboard", "trolley", "open_shelf", "chair"), 1, 4)
-    decorate(room, rug=0.0, is_home=False)
-    ceiling_light(room, ("panel", "pendant", "spots"), over=table, many=True)
+    furnish.fill(room, ("sideboard", "trolley", "open_shelf", "chair"), 1, 4)
+    furnish.decorate(room, rug=0.0, is_home=False)
+    furnish.ceiling_light(room, ("panel", "pendant", "spots"), over=table, many=True)
 
 
 def reading_room(room: Furnisher) -> None:
@@ -78,17 +67,17 @@ def reading_room(room: Furnisher) -> None:
     for _ in range(draws.integer(3, 5)):
         size = draws.uniform(1.0, 2.4), draws.uniform(1.9, 2.25)
         room.at_wall(storage.bookcase(style, draws, *size, fill=0.9))
-    group = seats(room, draws.integer(2, 3))
+    group = furnish.seats(room, draws.integer(2, 3))
     if not group:
         raise Unfit("the reading room has no space for seats")
     if draws.chance(0.6):
         table = room.in_middle(tables.round_table(style, draws, draws.uniform(0.5, 0.7), 0.5))
         if table is not None:
-            lamp_on(room, table)
-    floor_lamp_somewhere(room)
-    fill(room, ("bench", "pouf", "chest"), 2, 5)
-    decorate(room, rug=0.7)
-    ceiling_light(room, ("pendant", "globe", "spots"))
+            furnish.lamp_on(room, table)
+    furnish.floor_lamp_somewhere(room)
+    furnish.fill(room, ("bench", "pouf", "chest"), 2, 5)
+    furnish.decorate(room, rug=0.7)
+    furnish.ceiling_light(room, ("pendant", "globe", "spots"))
 
 
 def laundry(room: Furnisher) -> None:
@@ -112,11 +101,11 @@ def laundry(room: Furnisher) -> None:
         room.at_wall(storage.rack(style, draws, draws.uniform(0.8, 1.2)))
     if draws.chance(0.6):
         room.hang(storage.wall_shelf(style, draws, draws.uniform(0.8, 1.3), draws.integer(1, 2)), 1.5)
-    fill(room, ("bin", "basket", "rack", "trolley", "crates", "cupboard"), 2, 4)
+    furnish.fill(room, ("bin", "basket", "rack", "trolley", "crates", "cupboard"), 2, 4)
     if draws.chance(0.5):
         room.hang(storage.coat_rail(style, draws, draws.uniform(0.6, 1.0)), 1.6)
-    pictures(room, draws.integer(0, 1))
-    ceiling_light(room, ("batten", "disc", "panel"))
+    furnish.pictures(room, draws.integer(0, 1))
+    furnish.ceiling_light(room, ("batten", "disc", "panel"))
 
 
 def workshop(room: Furnisher) -> None:
@@ -138,12 +127,12 @@ def workshop(room: Furnisher) -> None:
         size = draws.uniform(1.2, 1.7), draws.uniform(0.7, 0.9)
         room.in_middle(tables.table(style, draws, *size, 0.85, "work_table"))
     room.hang(fittings.clock(style, draws), 2.0)
-    fill(room, ("rack", "lockers", "bin", "crates", "stool"), 2, 5)
+    furnish.fill(room, ("rack", "lockers", "bin", "crates", "stool"), 2, 5)
     if draws.chance(0.5):
         room.hang(storage.tool_board(style, draws, draws.uniform(0.8, 1.2)), 1.2)
     if draws.chance(0.5):
         room.hang(storage.wall_shelf(style, draws, draws.uniform(0.8, 1.4), 2), 1.3)
-    ceiling_light(room, ("batten", "batten", "pendant"), many=True)
+    furnish.ceiling_light(room, ("batten", "batten", "pendant"), many=True)
 
 
 def cafe(room: Furnisher) -> None:
@@ -186,6 +175,6 @@ def cafe(room: Furnisher) -> None:
         made += any([room.seat(chair, table, side, 0.0, 0.12) is not None for side in sides])
     if made < 2:
         raise Unfit("fewer than two tables for guests")
-    fill(room, ("sideboard", "trolley", "bin", "open_shelf", "plant"), 2, 6)
-    decorate(room, rug=0.0, is_home=False)
-    ceiling_light(room, ("pendant", "globe", "spots"), many=True)
+    furnish.fill(room, ("sideboard", "trolley", "bin", "open_shelf", "plant"), 2, 6)
+    furnish.decorate(room, rug=0.0, is_home=False)
+    furnish.ceiling_light(room, ("pendant", "globe", "spots"), many=True)
