@@ -18,7 +18,7 @@ from pathlib import Path
 import torch
 
 from benchmarks.timing import timed, write_report
-from datagen.formats.view_places import read_member
+from datagen.formats.shard import read_member
 from datagen.foundation.exr import decode_view
 from model.loading import ViewStream, read_view
 

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.timing import markdown
-from datagen.formats.view_places import ViewPlace
+from datagen.formats.shard import ViewPlace
 from datagen.foundation.buffers import MATERIAL_MAPS
 from model.checkpoint import load_checkpoint
 from model.networks import TrackName

@@ -23,9 +23,8 @@ from torch import distributed
 from torch.utils.data import IterableDataset, get_worker_info
 
 from datagen.formats.configuration import Split
-from datagen.formats.shard import Dataset
+from datagen.formats.shard import Dataset, ViewPlace, index_shard, read_buffers, read_record
 from datagen.formats.view import ViewRecord
-from datagen.formats.view_places import ViewPlace, index_shard, read_buffers, read_record
 from datagen.foundation.buffers import BUFFERS
 from datagen.foundation.errors import Problem, input_error, raise_problems
 

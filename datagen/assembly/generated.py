@@ -33,8 +33,7 @@ class GeneratedRoom:
     @cached_property
     def bare_slots(self) -> frozenset[tuple[str, str]]:
         """Pairs (asset id, slot) of slots whose placeholder a material of the palette must replace."""
-        asset = self.package.asset
-        assert isinstance(asset, EnvironmentAsset)
+        asset = self.package.as_kind(EnvironmentAsset)
         return frozenset(
             (asset.id, slot)
             for slot, material in asset.materials.items()
@@ -69,9 +68,7 @@ def example_rooms(recipe: Recipe) -> Iterator[EnvironmentAsset]:
     """Yield one room of each kind that the recipe allows; none if it generates no rooms."""
     wanted = recipe.environments.parametric
     for kind in _kinds(wanted) if wanted is not None else ():
-        asset = _generated(kind, "example", False).package.asset
-        assert isinstance(asset, EnvironmentAsset)
-        yield asset
+        yield _generated(kind, "example", False).package.as_kind(EnvironmentAsset)
 
 
 def _kinds(wanted: ParametricRecipe) -> list[str]:

@@ -10,14 +10,15 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Texture
+from datagen.formats.asset import GeometryAsset, Texture
 from datagen.formats.package import Package
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh, area_vectors, inspect_mesh
@@ -26,7 +27,7 @@ from datagen.foundation.meshes.ply import decode_ply
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 _MIN_COSINE = 1e-3  # below, Embree's distance is kept, since the plane equation would divide by almost 0
-_MAX_CACHED_TRIANGLES = 6_000_000  # about 1 GB including Embree's trees
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ class AssetGeometry:
     light: those whose opacity is absent, textured, or at least 0.5.
     """
 
-    asset: ObjectAsset | EnvironmentAsset
+    asset: GeometryAsset
     vertices: Floats
     faces: NDArray[np.int32]
     part_of_face: NDArray[np.int32]
@@ -151,7 +152,7 @@ class AssetGeometry:
 def load_geometry(package: Package) -> AssetGeometry:
     """Read all meshes of an object or environment. Raises :class:`InputError` for invalid meshes."""
     asset = package.asset
-    if not isinstance(asset, ObjectAsset | EnvironmentAsset):
+    if not isinstance(asset, GeometryAsset):
         raise TypeError(f"{asset.id} is a {asset.kind}; expected an object or environment")
     meshes: dict[str, Mesh] = {}
     vertices, faces, parts, start = [], [], [], 0
@@ -183,31 +184,34 @@ def _sound_mesh(package: Package, name: str) -> Mesh:
     return mesh
 
 
-def _is_opaque(asset: ObjectAsset | EnvironmentAsset, material: str) -> bool:
+def _is_opaque(asset: GeometryAsset, material: str) -> bool:
     opacity = asset.materials[material].opacity
     return opacity is None or isinstance(opacity, Texture) or opacity >= 0.5
 
 
-class GeometryCache:
-    """Cache of geometries by package hash; keeps the most recent, up to :data:`_MAX_CACHED_TRIANGLES`."""
+class PackageCache(Generic[T]):
+    """Cache of what ``make`` returns for packages, by their hash.
 
-    def __init__(self) -> None:
-        self._entries: OrderedDict[str, AssetGeometry] = OrderedDict()
+    It keeps the most recent results, whose ``weight`` has a sum of at most ``limit``, and always the last.
+    """
 
-    def get(self, package: Package) -> AssetGeometry:
-        """Return a package's geometry; read it if it is not in the cache."""
+    def __init__(
+        self,
+        make: Callable[[Package], T],
+        limit: float = math.inf,
+        weight: Callable[[T], int] = lambda _: 1,
+    ):
+        self._make, self._limit, self._weight = make, limit, weight
+        self._entries: OrderedDict[str, T] = OrderedDict()
+
+    def __call__(self, package: Package) -> T:
         key = package.sha256
-        if key in self._entries:
-            self._entries.move_to_end(key)
-            return self._entries[key]
-        geometry = load_geometry(package)
-        self._entries[key] = geometry
-        while (
-            len(self._entries) > 1
-            and sum(len(g.faces) for g in self._entries.values()) > _MAX_CACHED_TRIANGLES
-        ):
-            self._entries.popitem(last=False)
-        return geometry
+        if key not in self._entries:
+            self._entries[key] = self._make(package)
+            while len(self._entries) > 1 and sum(map(self._weight, self._entries.values())) > self._limit:
+                self._entries.popitem(last=False)
+        self._entries.move_to_end(key)
+        return self._entries[key]
 
 
 class CollisionModel:

@@ -20,8 +20,7 @@ from datagen.assembly.light_probe import LUMINANCE, Emitters, LightGroup, LightP
 from datagen.assembly.lights import PlannedGroup, RoomToLight, plan_lights, plan_panels
 from datagen.assembly.white_balance import NO_TINT, Tint, tint_of_lamps
 from datagen.formats.base import quantized
-from datagen.formats.light_changes import scaled
-from datagen.formats.lights import AreaLight, EnvironmentLight, Light, SkyLight
+from datagen.formats.lights import AreaLight, EnvironmentLight, Light, SkyLight, scaled
 from datagen.formats.recipe import LightRecipe
 from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws

@@ -20,11 +20,10 @@ from datagen.assembly.light_probe import Rectangle, is_from_outside
 from datagen.assembly.materials import MeanMaterial
 from datagen.assembly.panoramas import DARK, OUTSIDE_SHARE, draw_daytime, draw_panorama, turned_image
 from datagen.assembly.things import fibonacci_sphere
-from datagen.formats.asset import Daytime, EnvironmentAsset, LightSlot, ObjectAsset
+from datagen.formats.asset import Daytime, EnvironmentAsset, GeometryAsset, LightSlot
 from datagen.formats.base import quantized
 from datagen.formats.configuration import PlacedAsset
-from datagen.formats.light_changes import moved_light
-from datagen.formats.lights import AreaLight, Light, PointLight, SkyLight
+from datagen.formats.lights import AreaLight, Light, PointLight, SkyLight, moved_light
 from datagen.formats.recipe import LightRecipe
 from datagen.foundation.color import color_of_temperature
 from datagen.foundation.random import Draws
@@ -63,7 +62,7 @@ class RoomToLight:
     environment: EnvironmentAsset
     scene: WorldScene
     placed: tuple[PlacedAsset, ...]
-    assets: tuple[EnvironmentAsset | ObjectAsset, ...]
+    assets: tuple[GeometryAsset, ...]
     assigned: tuple[dict[str, MeanMaterial], ...]
     eyes: Floats
     has_solid_backs: bool

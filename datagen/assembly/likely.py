@@ -25,7 +25,7 @@ from datagen.assembly.materials import (
     mean_of,
     slots_by_material,
 )
-from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset, Surface
+from datagen.formats.asset import GeometryAsset, Material, MaterialAsset, Surface
 from datagen.formats.base import quantized
 from datagen.formats.configuration import ColorAdjustment, MaterialAssignment
 from datagen.formats.package import Package
@@ -148,8 +148,7 @@ class LikelyDresser:
         its material only if no material of the palette fits. The number of draws does not depend on the
         palette.
         """
-        asset = package.asset
-        assert isinstance(asset, ObjectAsset | EnvironmentAsset)
+        asset = package.as_kind(GeometryAsset)
         found: dict[str, MaterialAssignment] = {}
         for slots in slots_by_material(asset):
             units = draws.units(8)
@@ -164,7 +163,7 @@ class LikelyDresser:
     def _assignment(
         self,
         package: Package,
-        asset: ObjectAsset | EnvironmentAsset,
+        asset: GeometryAsset,
         slots: tuple[str, ...],
         surface: Surface,
         is_foreign: bool,
@@ -188,9 +187,7 @@ class LikelyDresser:
         mean = mean_of([self.means.mean(package, material) for material in own])
         return MaterialAssignment(adjustment=_varied(surface, self.style, own[0], mean, units[4:], strength))
 
-    def _choices(
-        self, asset: ObjectAsset | EnvironmentAsset, slots: tuple[str, ...], surface: Surface
-    ) -> list[_Choice]:
+    def _choices(self, asset: GeometryAsset, slots: tuple[str, ...], surface: Surface) -> list[_Choice]:
         classes = set.intersection(*(set(asset.materials[slot].replaceable_by) for slot in slots))
         looks = LOOKS.get(surface) or tuple(Look(1.0, c) for c in sorted(classes))
         choices = []
@@ -208,10 +205,9 @@ class LikelyDresser:
         look: Look,
         surface: Surface,
         slots: tuple[str, ...],
-        asset: ObjectAsset | EnvironmentAsset,
+        asset: GeometryAsset,
     ) -> bool:
-        material = package.asset
-        assert isinstance(material, MaterialAsset)
+        material = package.as_kind(MaterialAsset)
         if material.material.classes[0] != look.material_class:
             return False
         if material.surfaces and surface not in material.surfaces:
@@ -223,8 +219,7 @@ class LikelyDresser:
     def _adjusted(
         self, look: Look, package: Package, where: NDArray[np.float64], strength: float
     ) -> ColorAdjustment:
-        assert isinstance(package.asset, MaterialAsset)
-        material = package.asset.material
+        material = package.as_kind(MaterialAsset).material
         found = reach(look, material, self.means.mean(package, material))
         assert found is not None
         return found.at(where, strength)

@@ -16,14 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.asset import (
-    EnvironmentAsset,
-    Material,
-    MaterialAsset,
-    MaterialClass,
-    ObjectAsset,
-    Texture,
-)
+from datagen.formats.asset import GeometryAsset, Material, MaterialAsset, MaterialClass, Texture
 from datagen.formats.base import quantized
 from datagen.formats.configuration import ColorAdjustment, MaterialAssignment, PlacedAsset
 from datagen.formats.package import Package
@@ -160,13 +153,13 @@ def _clamped(moved: float, start: float, low: float, high: float) -> float:
     return min(max(moved, min(low, start)), max(high, start))
 
 
-def suits(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
+def suits(material: MaterialAsset, slot: str, asset: GeometryAsset) -> bool:
     """Whether a slot accepts a material's main class and the material is assignable to the slot."""
     has_class = material.material.classes[0] in asset.materials[slot].replaceable_by
     return has_class and is_assignable(material, slot, asset)
 
 
-def is_assignable(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
+def is_assignable(material: MaterialAsset, slot: str, asset: GeometryAsset) -> bool:
     """Whether a material is opaque, non-emissive and, if textured, tileable while the slot has UVs."""
     own = material.material
     if own.emission is not None or own.opacity is not None:
@@ -186,7 +179,7 @@ def is_plain(package: Package) -> bool:
     return not own.textures() and own.emission is None and own.opacity is None
 
 
-def slots_by_material(asset: ObjectAsset | EnvironmentAsset) -> list[tuple[str, ...]]:
+def slots_by_material(asset: GeometryAsset) -> list[tuple[str, ...]]:
     """Group an asset's slots, sorted by name; bakes of one material (``baked_from``) form one group."""
     groups: dict[tuple[bool, str], list[str]] = {}
     for slot in sorted(asset.materials):
@@ -211,8 +204,7 @@ def assign_materials(
     other fits. Other slots keep their material if none fits. Slots with bakes of one material
     (``baked_from``) get the same assignment.
     """
-    asset = package.asset
-    assert isinstance(asset, ObjectAsset | EnvironmentAsset)
+    asset = package.as_kind(GeometryAsset)
     assignments = {}
     for slots in slots_by_material(asset):
         own = [asset.materials[slot] for slot in slots]
@@ -220,7 +212,7 @@ def assign_materials(
         pick = draws.units(2)
         # not drawn at probability 0: an additional draw would change the configurations of such recipes
         takes_any = recipe.any_class_probability > 0 and draws.chance(recipe.any_class_probability)
-        if any(material.emission is not None for material in own):
+        if any(m.emission is not None for m in own):
             continue
         is_foreign = any((package.id, slot) in foreign_slots for slot in slots)
         fits = is_assignable if takes_any and all(m.replaceable_by for m in own) else suits
@@ -240,9 +232,8 @@ def assign_materials(
                 main_class = own[0].classes[0]
                 mean = mean_of([means.mean(package, material) for material in own])
             else:
-                assert isinstance(chosen.asset, MaterialAsset)
-                main_class = chosen.asset.material.classes[0]
-                mean = means.mean(chosen, chosen.asset.material)
+                material = chosen.as_kind(MaterialAsset).material
+                main_class, mean = material.classes[0], means.mean(chosen, material)
             adjustment = draw_adjustment(mean, main_class, recipe.variation_strength, draws)
         if chosen is not None or adjustment != ColorAdjustment():
             assignment = MaterialAssignment(
@@ -271,8 +262,8 @@ def _drawn(
     """Select a class, then a package, by ``pick`` (2,) in [0, 1); None if all class weights are 0."""
     by_class: dict[MaterialClass, list[Package]] = {}
     for package in fitting:
-        assert isinstance(package.asset, MaterialAsset)
-        by_class.setdefault(package.asset.material.classes[0], []).append(package)
+        main_class = package.as_kind(MaterialAsset).material.classes[0]
+        by_class.setdefault(main_class, []).append(package)
     classes = sorted(by_class)
     weights = [class_weights.get(name, 1.0) for name in classes]
     if not any(weights):
@@ -284,8 +275,7 @@ def _drawn(
 def mean_materials(placed: PlacedAsset, library: Library, means: MeanMaterials) -> dict[str, MeanMaterial]:
     """Map each slot of a placed asset to its mean material after assignment, adjustment and emission."""
     package = library.package(placed.asset)
-    asset = package.asset
-    assert isinstance(asset, ObjectAsset | EnvironmentAsset)
+    asset = package.as_kind(GeometryAsset)
     assigned = {}
     for slot in sorted(asset.materials):
         assignment = placed.materials.get(slot, MaterialAssignment())
@@ -293,7 +283,6 @@ def mean_materials(placed: PlacedAsset, library: Library, means: MeanMaterials) 
         emission = placed.emission.get(slot, mean.emission)
         if assignment.asset is not None:
             source = library.package(assignment.asset)
-            assert isinstance(source.asset, MaterialAsset)
-            mean = means.mean(source, source.asset.material)
+            mean = means.mean(source, source.as_kind(MaterialAsset).material)
         assigned[slot] = replace(adjusted(mean, assignment.adjustment), emission=emission)
     return assigned

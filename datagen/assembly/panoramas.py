@@ -9,7 +9,7 @@ import numpy as np
 
 from datagen.assembly.light_probe import is_from_outside
 from datagen.assembly.things import pose
-from datagen.formats.asset import Daytime, EnvironmentAsset, ObjectAsset, PanoramaAsset
+from datagen.formats.asset import Daytime, EnvironmentAsset, GeometryAsset, PanoramaAsset
 from datagen.formats.lights import EnvironmentLight
 from datagen.formats.recipe import LightRecipe
 from datagen.foundation.random import Draws
@@ -26,9 +26,7 @@ DARK: tuple[Daytime, ...] = ("dusk", "night")
 """Times of day at which lamps are always on."""
 
 
-def draw_daytime(
-    assets: tuple[EnvironmentAsset | ObjectAsset, ...], recipe: LightRecipe, draws: Draws
-) -> Daytime | None:
+def draw_daytime(assets: tuple[GeometryAsset, ...], recipe: LightRecipe, draws: Draws) -> Daytime | None:
     """Draw the time of day outside the room ``assets[0]``.
 
     Returns None if the recipe has no panoramas, the room has no openings, or an asset contains a sky.

@@ -17,12 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from datagen.assembly.geometry import Floats, RayScene, distance_m, world_points
-from datagen.assembly.shortfall import shortfall
 from datagen.assembly.things import PlacedThing, Room, Thing, convex_hull_2d, margin_inside, pose
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, SupportSurface
 from datagen.formats.recipe import ObjectRecipe
 from datagen.foundation.axes import rotation
-from datagen.foundation.errors import input_error
+from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.random import Draws
 
 CONTACT_TOLERANCE_M = 2e-3  # points this close to the ground count as contacts
@@ -38,21 +37,8 @@ _ATTEMPTS_A_SCALE = 12  # per scale, since each scale needs a new collision tree
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 
-@dataclass(frozen=True)
-class _Frame:
-    """A support surface as arrays: corner, unit vectors along its edges, and their lengths in metres."""
-
-    origin: Floats
-    u: Floats
-    v: Floats
-    length_u: float
-    length_v: float
-
-    @classmethod
-    def of(cls, surface: SupportSurface) -> _Frame:
-        u, v = np.array(surface.edge_u_m), np.array(surface.edge_v_m)
-        lu, lv = float(np.linalg.norm(u)), float(np.linalg.norm(v))
-        return cls(np.array(surface.origin_m), u / lu, v / lv, lu, lv)
+class Shortfall(InputError):
+    """Raised for too few objects or views; :func:`datagen.assembly.plan.assemble` draws them again."""
 
 
 def surfaces_for(asset: ObjectAsset, room: EnvironmentAsset) -> list[SupportSurface]:
@@ -101,15 +87,14 @@ class Placer:
         return None
 
     def _try(self, thing: Thing, surface: SupportSurface, scale: float, draws: Draws) -> PlacedThing | str:
-        frame = _Frame.of(surface)
         height = float(thing.geometry.maximum_m[2] - thing.geometry.minimum_m[2]) * scale
         if height > surface.clearance_m:
             return "too_tall"
-        drawn = self._draw_pose(thing, surface, frame, scale, draws)
+        drawn = self._draw_pose(thing, surface, scale, draws)
         if drawn is None:
             return "too_large"
         yaw, xy = drawn
-        position = np.array([xy[0], xy[1], frame.origin[2] - scale * float(thing.geometry.minimum_m[2])])
+        position = np.array([xy[0], xy[1], surface.origin_m[2] - scale * float(thing.geometry.minimum_m[2])])
         rest = self._drop(thing, scale, yaw, position)
         if isinstance(rest, str):
             return rest
@@ -118,7 +103,7 @@ class Placer:
         return self._checked(thing, surface, scale, yaw, position)
 
     def _draw_pose(
-        self, thing: Thing, surface: SupportSurface, frame: _Frame, scale: float, draws: Draws
+        self, thing: Thing, surface: SupportSurface, scale: float, draws: Draws
     ) -> tuple[float, Floats] | None:
         """Draw yaw and position (2,) with the footprint inside the rectangle; None if it is too large."""
         height = float(thing.geometry.maximum_m[2]) * scale
@@ -126,8 +111,11 @@ class Placer:
         at_wall = draws.chance(_WALL_PROBABILITY) and likes_wall
         side, gap, jitter = draws.integer(0, 3), draws.uniform(0.01, 0.08), draws.uniform(-0.03, 0.03)
         yaw, s, t = draws.uniform(*thing.asset.yaw_range_rad), draws.unit(), draws.unit()
+        edge_u, edge_v = surface.edge_u_m, surface.edge_v_m
+        length_u, length_v = float(np.linalg.norm(edge_u)), float(np.linalg.norm(edge_v))
+        u, v = np.array(edge_u[:2]) / length_u, np.array(edge_v[:2]) / length_v
         if at_wall:
-            outward = (frame.u, -frame.u, frame.v, -frame.v)[side]
+            outward = (u, -u, v, -v)[side]
             turned = math.atan2(outward[1], outward[0]) - 0.5 * math.pi + jitter  # its back (+Y) to the wall
             turned = math.remainder(turned, 2 * math.pi)
             low, high = thing.asset.yaw_range_rad
@@ -135,17 +123,17 @@ class Placer:
             at_wall, yaw = bool(inside), inside[0] if inside else yaw
         yaw = float(np.round(yaw, 7))
         hull = thing.footprint * scale @ rotation("z", yaw)[:2, :2].T
-        along_u, along_v = hull @ frame.u[:2], hull @ frame.v[:2]
-        room_u = frame.length_u - (along_u.max() - along_u.min())
-        room_v = frame.length_v - (along_v.max() - along_v.min())
+        along_u, along_v = hull @ u, hull @ v
+        room_u = length_u - (along_u.max() - along_u.min())
+        room_v = length_v - (along_v.max() - along_v.min())
         if room_u < 0 or room_v < 0:
             return None
         du, dv = s * room_u, t * room_v
         if at_wall:
             du = (max(room_u - gap, 0.0), min(gap, room_u), du, du)[side]
             dv = (dv, dv, max(room_v - gap, 0.0), min(gap, room_v))[side]
-        corner = frame.origin[:2]
-        return yaw, corner + frame.u[:2] * (du - along_u.min()) + frame.v[:2] * (dv - along_v.min())
+        corner = np.array(surface.origin_m[:2])
+        return yaw, corner + u * (du - along_u.min()) + v * (dv - along_v.min())
 
     def _drop(self, thing: Thing, scale: float, yaw: float, position: Floats) -> float | str:
         """Vertical shift in metres that lets the object rest on the surface, or the reason for rejection."""
@@ -259,13 +247,14 @@ def place_things(
         extra += 1
     if len(placer.placed) < recipe.count[0]:
         counts = ", ".join(f"{k} {v}" for k, v in sorted(rejections.items()) if k.startswith("placement."))
-        raise shortfall(
+        problem = Problem(
             f"environment {room.asset.id}",
             "objects",
             f"{len(placer.placed)} placed ({counts})",
             f"at least {recipe.count[0]} (objects.count)",
             "lower objects.count, raise objects.max_attempts, or add support surfaces or smaller objects",
         )
+        raise Shortfall(problem)
     return placer.placed
 
 

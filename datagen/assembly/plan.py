@@ -7,28 +7,26 @@ one split; with ``splits.disjoint``, the library's rooms, objects and materials 
 
 from __future__ import annotations
 
-import functools
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from datagen.assembly.coverage import Shell, measure
 from datagen.assembly.free_space import FreeSpace
 from datagen.assembly.generated import generated_room
-from datagen.assembly.geometry import AssetGeometry, GeometryCache, WorldScene
+from datagen.assembly.geometry import AssetGeometry, PackageCache, WorldScene, load_geometry
 from datagen.assembly.light_levels import light_room
 from datagen.assembly.lights import RoomToLight
 from datagen.assembly.likely import LikelyDresser
 from datagen.assembly.looks import RoomStyle
 from datagen.assembly.materials import MeanMaterials, assign_materials, mean_materials
-from datagen.assembly.placement import place_things
-from datagen.assembly.shortfall import Shortfall
+from datagen.assembly.placement import Shortfall, place_things
 from datagen.assembly.splits import Pools, pools_of_split, recipe_problems, split_of
 from datagen.assembly.surfaces import surfaces_of
 from datagen.assembly.things import PlacedThing, Room, Thing
 from datagen.assembly.views import ViewFinder
-from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Surface
+from datagen.formats.asset import EnvironmentAsset, ObjectAsset
 from datagen.formats.configuration import Configuration, PlacedAsset, Split, ViewCamera
 from datagen.formats.lights import EnvironmentLight
 from datagen.formats.package import Package
@@ -41,43 +39,12 @@ NUM_EYES = 384  # possible camera positions, at which the irradiance of lights i
 NUM_TRIES = 3  # largest number of draws of a configuration with too few objects or views
 
 
-@dataclass
-class _ProcessCaches:
-    """Caches shared by all configurations of a process; entries depend only on package contents."""
-
-    geometry: GeometryCache
-    rooms: dict[str, Room]
-    things: dict[str, Thing]
-    means: MeanMaterials
-    surfaces: dict[str, dict[str, Surface]]
-
-    def room(self, package: Package) -> Room:
-        """Return the room of an environment package; the last two are cached."""
-        if package.sha256 not in self.rooms:
-            if len(self.rooms) >= 2:
-                self.rooms.pop(next(iter(self.rooms)))
-            self.rooms[package.sha256] = Room(self.geometry.get(package))
-        return self.rooms[package.sha256]
-
-    def thing(self, package: Package) -> Thing:
-        """Return the object of a package, prepared for placement; up to 200 are cached."""
-        if package.sha256 not in self.things:
-            if len(self.things) >= 200:
-                self.things.clear()
-            assert isinstance(package.asset, ObjectAsset)
-            self.things[package.sha256] = Thing(package.asset, self.geometry.get(package))
-        return self.things[package.sha256]
-
-    def surfaces_of(self, package: Package) -> dict[str, Surface]:
-        """Map every slot of a package to its kind of surface, cached."""
-        if package.sha256 not in self.surfaces:
-            self.surfaces[package.sha256] = surfaces_of(self.geometry.get(package))
-        return self.surfaces[package.sha256]
-
-
-@functools.cache
-def _process_caches() -> _ProcessCaches:
-    return _ProcessCaches(GeometryCache(), {}, {}, MeanMaterials(), {})
+# caches of a process, shared by all configurations; entries depend only on package contents
+_geometry = PackageCache(load_geometry, 6_000_000, lambda g: len(g.faces))  # about 1 GB with Embree's trees
+_room = PackageCache(lambda package: Room(_geometry(package)), 2)
+_thing = PackageCache(lambda package: Thing(package.as_kind(ObjectAsset), _geometry(package)), 200)
+_surfaces = PackageCache(lambda package: surfaces_of(_geometry(package)))
+_MEANS = MeanMaterials()
 
 
 def configuration_id(recipe: Recipe, index: int) -> str:
@@ -141,19 +108,18 @@ def _assemble_once(
     key: tuple[int | str, ...],
     rejections: Counter[str],
 ) -> Configuration:
-    caches = _process_caches()
-    room = caches.room(environment)
-    things = [caches.thing(package) for package in pools.objects]
+    room = _room(environment)
+    things = [_thing(package) for package in pools.objects]
     weights = _library_weights(recipe, library, pools)
     placed_things = place_things(room, things, recipe.objects, key, rejections, weights)
-    placed, packages = _dress(recipe, key, environment, placed_things, pools, library, caches)
+    placed, packages = _dress(recipe, key, environment, placed_things, pools, library)
 
-    geometries = [caches.geometry.get(package) for package in packages]
+    geometries = [_geometry(package) for package in packages]
     scene = _world(geometries, placed)
     space = FreeSpace(room.asset, scene.rays, recipe.cameras.height_m)
     space.check()
     eyes = space.points(NUM_EYES, 0.1, Draws(*key, "eyes"), rejections)
-    assigned = tuple(mean_materials(p, library, caches.means) for p in placed)
+    assigned = tuple(mean_materials(p, library, _MEANS) for p in placed)
     assets = tuple(g.asset for g in geometries)
     to_light = RoomToLight(
         room.asset, scene, tuple(placed), assets, assigned, eyes, space.has_consistent_winding
@@ -161,7 +127,7 @@ def _assemble_once(
     lighting = light_room(to_light, recipe.lights, library, key, rejections)
     lit = [p.model_copy(update={"emission": e}) for p, e in zip(placed, lighting.emission, strict=True)]
 
-    shell = Shell(scene, caches.surfaces_of(environment))
+    shell = Shell(scene, _surfaces(environment))
     finder = ViewFinder(scene, shell, space, lighting, recipe.cameras, recipe.resolution, key, rejections)
     cameras = finder.find(recipe.views)
     return Configuration(
@@ -185,20 +151,17 @@ def _dress(
     things: list[PlacedThing],
     pools: Pools,
     library: Library,
-    caches: _ProcessCaches,
 ) -> tuple[list[PlacedAsset], list[Package]]:
     """Assign materials; return the placed assets and their packages, each with the room first."""
     packages = [environment] + [library.package(t.thing.asset.id) for t in things]
-    likely = _likely_dresser(recipe, key, pools, caches)
+    likely = _likely_dresser(recipe, key, pools)
     placed = []
     for item, package in enumerate(packages):
         draws, foreign = Draws(*key, "materials", item), pools.foreign_slots
         if likely is not None:
-            materials = likely.assign(package, caches.surfaces_of(package), draws, foreign)
+            materials = likely.assign(package, _surfaces(package), draws, foreign)
         else:
-            materials = assign_materials(
-                package, pools.materials, recipe.materials, caches.means, draws, foreign
-            )
+            materials = assign_materials(package, pools.materials, recipe.materials, _MEANS, draws, foreign)
         if item == 0:
             placed.append(PlacedAsset(name="room", asset=package.id, materials=materials))
             continue
@@ -229,15 +192,13 @@ def _library_weights(recipe: Recipe, library: Library, pools: Pools) -> dict[str
     return found
 
 
-def _likely_dresser(
-    recipe: Recipe, key: tuple[int | str, ...], pools: Pools, caches: _ProcessCaches
-) -> LikelyDresser | None:
+def _likely_dresser(recipe: Recipe, key: tuple[int | str, ...], pools: Pools) -> LikelyDresser | None:
     """Draw whether materials are likely or arbitrary; return a dresser for likely ones, else None."""
     weights = recipe.materials.variation
     draws = Draws(*key[:2], "style")
     if not draws.chance(weights.likely / (weights.likely + weights.wild)):
         return None
-    return LikelyDresser(RoomStyle.draw(draws), pools.materials, recipe.materials, caches.means)
+    return LikelyDresser(RoomStyle.draw(draws), pools.materials, recipe.materials, _MEANS)
 
 
 def _world(geometries: list[AssetGeometry], placed: list[PlacedAsset]) -> WorldScene:
@@ -252,8 +213,7 @@ def _world(geometries: list[AssetGeometry], placed: list[PlacedAsset]) -> WorldS
 def world_of(configuration: Configuration, library: Library) -> WorldScene:
     """The opaque triangles of a configuration's room and objects, in world space."""
     placed = [configuration.environment, *configuration.objects]
-    geometry = _process_caches().geometry
-    return _world([geometry.get(library.package(p.asset)) for p in placed], placed)
+    return _world([_geometry(library.package(p.asset)) for p in placed], placed)
 
 
 def _hashes(placed: list[PlacedAsset], lights: tuple, library: Library) -> dict[str, str]:

@@ -20,8 +20,7 @@ def rooms_without_sky(recipe: Recipe, library: Library) -> list[str]:
         return []
     found = []
     for package in packages_in_use(recipe, library, "environments"):
-        room = package.asset
-        assert isinstance(room, EnvironmentAsset)
+        room = package.as_kind(EnvironmentAsset)
         if is_bundled(package.path) or any(map(is_from_outside, room.lights)):
             continue
         if not room.openings:

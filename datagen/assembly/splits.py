@@ -20,7 +20,7 @@ from weakref import WeakKeyDictionary
 from datagen.assembly.daylight import environment_image
 from datagen.assembly.materials import is_plain
 from datagen.assembly.panoramas import panoramas_of
-from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset
+from datagen.formats.asset import GeometryAsset, Material, MaterialAsset, ObjectAsset
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.configuration import Split
 from datagen.formats.degenerate_shapes import degenerate_problems
@@ -226,11 +226,9 @@ def _foreign_slots(pools: Pools, home: dict[str, Split]) -> frozenset[tuple[str,
 
 
 def _materials(package: Package) -> dict[str, Material]:
-    asset = package.asset
-    if isinstance(asset, MaterialAsset):
-        return {"": asset.material}
-    assert isinstance(asset, ObjectAsset | EnvironmentAsset)
-    return dict(asset.materials)
+    if isinstance(package.asset, MaterialAsset):
+        return {"": package.asset.material}
+    return dict(package.as_kind(GeometryAsset).materials)
 
 
 def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
@@ -261,8 +259,7 @@ def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
             "open the library with all of them",
         )
     for package in (*pools.environments, *pools.objects):
-        assert isinstance(package.asset, ObjectAsset | EnvironmentAsset)
-        problems += degenerate_problems(package.asset, f"{package.path}/asset.json")
+        problems += degenerate_problems(package.as_kind(GeometryAsset), f"{package.path}/asset.json")
     counts = split_counts(recipe)
     for split in SPLITS:
         share = getattr(recipe.splits, split)

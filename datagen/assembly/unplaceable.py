@@ -34,8 +34,7 @@ def implausible_sizes(recipe: Recipe, library: Library) -> list[str]:
     """One sentence per available object whose size is implausible for its category, sorted by id."""
     found = []
     for package in packages_in_use(recipe, library, "objects"):
-        assert isinstance(package.asset, ObjectAsset)
-        if fault := size_fault(package.asset):
+        if fault := size_fault(package.as_kind(ObjectAsset)):
             found.append(f"{package.id} {fault}")
     return found
 
@@ -54,8 +53,7 @@ def unplaceable(recipe: Recipe, library: Library) -> list[Unplaceable]:
         rooms = [p.asset for p in pools.environments if isinstance(p.asset, EnvironmentAsset)]
         more = example_rooms(recipe)
         for package in pools.objects:
-            asset = package.asset
-            assert isinstance(asset, ObjectAsset)
+            asset = package.as_kind(ObjectAsset)
             if asset.id in placeable:
                 continue
             why = _why_no_surface(asset, rooms)

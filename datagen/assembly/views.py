@@ -22,11 +22,12 @@ from datagen.assembly.free_space import FreeSpace
 from datagen.assembly.geometry import Floats, RayScene, WorldScene, direction_of
 from datagen.assembly.light_levels import Lighting
 from datagen.assembly.light_probe import Rectangle
-from datagen.assembly.shortfall import shortfall
+from datagen.assembly.placement import Shortfall
 from datagen.formats.base import quantized
 from datagen.formats.recipe import CameraRecipe
 from datagen.foundation.axes import rotation
 from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.errors import Problem
 from datagen.foundation.random import Draws
 
 MAX_NEAR_PIXELS = 0.02  # largest share of the image nearer than min_distance_m
@@ -180,13 +181,14 @@ class ViewFinder:
             "camera.too_similar": "lower views or enlarge the camera region",
         }.get(worst, "raise cameras.max_attempts")
         listed = ", ".join(f"{k.removeprefix('camera.')} {v}" for k, v in reasons.items())
-        raise shortfall(
+        problem = Problem(
             f"environment {self.space.environment.id}",
             "views",
             f"{found} of {self.num_drawn} candidates ({listed})",
             f"{count} cameras",
             f"{advice}; or raise cameras.max_attempts (now {self.recipe.max_attempts})",
         )
+        raise Shortfall(problem)
 
     def _extend(self, subject: Subject, wanted: int, limit: int) -> list[Candidate]:
         """Draw candidates in batches until ``wanted`` pass the checks or ``limit`` have been drawn."""

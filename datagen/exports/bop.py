@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.exports.rooms import Export, Room, RoomView, pixel_box
-from datagen.formats.asset import EnvironmentAsset, ObjectAsset
+from datagen.formats.asset import GeometryAsset
 from datagen.formats.configuration import PlacedAsset
 from datagen.foundation.errors import input_error
 from datagen.foundation.images import encode_png
@@ -65,9 +65,8 @@ class BopFiles:
         asset_id, scale = key
         if asset_id not in self.meshes:
             package = self.library.package(asset_id)
-            assert isinstance(package.asset, ObjectAsset | EnvironmentAsset)
             parts = []
-            for part in package.asset.parts:
+            for part in package.as_kind(GeometryAsset).parts:
                 mesh = decode_ply(package.read_bytes(part.mesh), f"{package.path}/{part.mesh}")
                 bare = Mesh(mesh.positions, mesh.faces)
                 parts.append(bare.placed(np.asarray(part.asset_from_part, dtype=np.float64)))

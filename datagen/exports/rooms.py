@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.configuration import Configuration, PlacedAsset, Split
-from datagen.formats.shard import Dataset, ShardReader
+from datagen.formats.shard import Dataset, ShardReader, ViewPlace, index_shard, read_buffers, read_record
 from datagen.formats.view import ViewRecord
-from datagen.formats.view_places import ViewPlace, index_shard, read_buffers, read_record
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.errors import input_error

@@ -226,13 +226,15 @@ class MaterialAsset(_AssetBase):
     material: Material
 
 
-class _GeometryAsset(_AssetBase):
+class GeometryAsset(_AssetBase):
+    """What objects and environments have in common: meshes with materials, and lights."""
+
     materials: dict[str, SlotMaterial]
     parts: Annotated[tuple[Part, ...], Field(min_length=1)]
     lights: tuple[Light, ...] = ()
 
     @model_validator(mode="after")
-    def _parts_have_materials(self) -> _GeometryAsset:
+    def _parts_have_materials(self) -> GeometryAsset:
         for index, part in enumerate(self.parts):
             if part.material not in self.materials:
                 known = ", ".join(sorted(self.materials)) or "none"
@@ -243,7 +245,7 @@ class _GeometryAsset(_AssetBase):
         return self
 
 
-class ObjectAsset(_GeometryAsset):
+class ObjectAsset(GeometryAsset):
     """An object that can be placed in a room.
 
     ``minimum_m`` and ``maximum_m`` bound the meshes (z from 0); the footprint is the convex hull of their
@@ -262,7 +264,7 @@ class ObjectAsset(_GeometryAsset):
     yaw_range_rad: tuple[float, float] = (-3.141592653589793, 3.141592653589793)
 
 
-class EnvironmentAsset(_GeometryAsset):
+class EnvironmentAsset(GeometryAsset):
     """A room: geometry, lights, and possible positions of objects, added lights and cameras."""
 
     kind: Literal["environment"] = "environment"

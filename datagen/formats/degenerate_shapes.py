@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from datagen.formats.asset import EnvironmentAsset, LightSlot, ObjectAsset, Opening, SupportSurface
+from datagen.formats.asset import EnvironmentAsset, GeometryAsset, LightSlot, Opening, SupportSurface
 from datagen.formats.base import Vector3
 from datagen.formats.lights import AreaLight
 from datagen.foundation.errors import Problems
@@ -15,7 +15,7 @@ from datagen.foundation.errors import Problems
 _REMEDY = "re-export the asset"
 
 
-def degenerate_problems(asset: ObjectAsset | EnvironmentAsset, where: str) -> Problems:
+def degenerate_problems(asset: GeometryAsset, where: str) -> Problems:
     """List the degenerate rectangles and directions of an asset; ``where`` names its ``asset.json``."""
     lights, problems = list(enumerate(asset.lights)), Problems(where)
     rectangles: list[tuple[str, AreaLight | LightSlot | Opening | SupportSurface]] = []

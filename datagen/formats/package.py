@@ -31,7 +31,7 @@ from datagen.formats.asset import (
     PanoramaAsset,
     Texture,
 )
-from datagen.formats.base import MAX_TEXT_BYTES, canonical_json, parse_model, sha256_file, sha256_hex
+from datagen.formats.base import MAX_TEXT_BYTES, ModelT, canonical_json, parse_model, sha256_file, sha256_hex
 from datagen.formats.lights import EnvironmentLight
 from datagen.foundation.budget import Budget
 from datagen.foundation.documents import ZIP_ERRORS, check_archive
@@ -79,6 +79,11 @@ class Package:
     @property
     def id(self) -> str:
         return self.asset.id
+
+    def as_kind(self, kind: type[ModelT]) -> ModelT:
+        """Return the asset, which the caller knows to be of this ``kind``."""
+        assert isinstance(self.asset, kind)
+        return self.asset
 
     def names(self) -> tuple[str, ...]:
         """Names of the files that ``asset.json`` refers to, sorted."""

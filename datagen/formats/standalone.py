@@ -7,7 +7,7 @@ from pathlib import Path
 
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
-from datagen.formats.light_changes import located_light
+from datagen.formats.lights import located_light
 from datagen.formats.package import open_package
 from datagen.foundation.errors import input_error
 

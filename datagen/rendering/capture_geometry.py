@@ -16,8 +16,7 @@ import numpy as np
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset
 from datagen.formats.capture import CaptureGeometry, GeometryPart
 from datagen.formats.configuration import Configuration, MaterialAssignment, PlacedAsset
-from datagen.formats.light_changes import moved_light
-from datagen.formats.lights import AreaLight, Light, SphereLight
+from datagen.formats.lights import AreaLight, Light, SphereLight, moved_light
 from datagen.formats.package import Package
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import SINGULAR, Mesh, inspect_mesh, joined, without_degenerate

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from datagen.assembly.coverage import Shell
 from datagen.assembly.free_space import FreeSpace
-from datagen.assembly.geometry import Floats, GeometryCache, RayScene, WorldScene
+from datagen.assembly.geometry import Floats, RayScene, WorldScene, load_geometry
 from datagen.assembly.light_levels import light_room
 from datagen.assembly.lights import RoomToLight
 from datagen.assembly.materials import MeanMaterials, mean_materials
@@ -54,7 +54,7 @@ def choose_cameras(
     ``resolution`` is (width, height). Raises :class:`InputError` if the room has too few camera positions, or
     if its own lights illuminate none of them.
     """
-    geometry = GeometryCache().get(package)
+    geometry = load_geometry(package)
     asset = geometry.asset
     assert isinstance(asset, EnvironmentAsset)
     placed = PlacedAsset(name="room", asset=package.id)

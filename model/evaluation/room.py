@@ -32,7 +32,7 @@ from datagen.formats.base import (
     write_bytes_atomically,
 )
 from datagen.formats.configuration import Configuration, PlacedAsset
-from datagen.formats.light_changes import moved_light
+from datagen.formats.lights import moved_light
 from datagen.formats.package import Package, is_package
 from datagen.formats.recipe import CameraRecipe, Recipe, RenderRecipe
 from datagen.foundation.errors import Problem, input_error, raise_problems

@@ -19,8 +19,7 @@ from datagen.formats.asset import EnvironmentAsset, ObjectAsset
 from datagen.formats.base import matrix4
 from datagen.formats.capture import CaptureGeometry
 from datagen.formats.configuration import Configuration, PlacedAsset
-from datagen.formats.light_changes import scaled
-from datagen.formats.lights import AreaLight, Light
+from datagen.formats.lights import AreaLight, Light, scaled
 from datagen.formats.package import open_package
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import input_error

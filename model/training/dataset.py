@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
+from datagen.formats.shard import ViewPlace, read_buffers, read_record
 from datagen.formats.view import ViewRecord
-from datagen.formats.view_places import ViewPlace, read_buffers, read_record
 from datagen.foundation.buffers import LIGHT_BUFFERS, MATERIAL_MAPS, get_buffer
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from model.networks import COLOR_STATISTICS, NetworkConfig, input_channels

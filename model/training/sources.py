@@ -9,9 +9,8 @@ from pathlib import Path
 
 from datagen.formats.base import sha256_file
 from datagen.formats.configuration import Split
-from datagen.formats.shard import INDEX_FILE
+from datagen.formats.shard import INDEX_FILE, ViewPlace, index_shard, read_record
 from datagen.formats.shard import Dataset as DatasetFolder
-from datagen.formats.view_places import ViewPlace, index_shard, read_record
 from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from model.checkpoint import DataRecord
 from model.networks import NetworkConfig

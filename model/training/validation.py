@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from datagen.formats.view_places import ViewPlace
+from datagen.formats.shard import ViewPlace
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError
 from model.bilateral_solver import SolverConfig

@@ -29,7 +29,6 @@ from datagen.assembly.things import pose
 from datagen.formats.asset import Box, LightSlot, SlotMaterial
 from datagen.formats.base import canonical_json
 from datagen.formats.configuration import Configuration
-from datagen.formats.light_changes import moved_light, scaled
 from datagen.formats.lights import (
     AreaLight,
     DirectionalLight,
@@ -39,6 +38,8 @@ from datagen.formats.lights import (
     SkyLight,
     SphereLight,
     SpotLight,
+    moved_light,
+    scaled,
 )
 from datagen.formats.recipe import Recipe
 from datagen.foundation.color import color_of_temperature

@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 
 from datagen.assembly import plan
+from datagen.assembly.placement import Shortfall
 from datagen.assembly.plan import assemble
-from datagen.assembly.shortfall import shortfall
 from datagen.formats.base import canonical_json, parse_model, sha256_hex
 from datagen.formats.configuration import Configuration
 from datagen.formats.package import write_package
 from datagen.formats.recipe import Recipe
-from datagen.foundation.errors import InputError
+from datagen.foundation.errors import InputError, Problem
 from datagen.library import Library
 from tests.conftest import REPOSITORY
 from tests.datagen.small_library import write_small_library
@@ -110,7 +110,7 @@ def test_rejected_draws_are_repeated(root: Path, monkeypatch: pytest.MonkeyPatch
         calls.append(key)
         rejections["placement.unstable"] += 3
         if len(calls) < 3:
-            raise shortfall("environment", "objects", "0 placed", "more", "")
+            raise Shortfall(Problem("environment", "objects", "0 placed", "more"))
         return place(room, things, recipe, key, rejections, weights)
 
     first = assemble(recipe(), 1, library)

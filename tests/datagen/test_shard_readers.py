@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 
 from datagen.formats.base import canonical_json, parse_model
-from datagen.formats.shard import CONFIGURATION_MEMBERS, ShardReader, write_shard
+from datagen.formats.shard import CONFIGURATION_MEMBERS, ShardReader, index_shard, write_shard
 from datagen.formats.view import ViewRecord
-from datagen.formats.view_places import index_shard
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view
 from datagen.inspection.shard_check import ShardJob, verify_shard

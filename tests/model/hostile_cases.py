@@ -19,7 +19,7 @@ from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.capture import CaptureFile, MeshRecord, PhotographRecord
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
 from datagen.formats.package import write_package
-from datagen.formats.view_places import index_shard
+from datagen.formats.shard import index_shard
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.exr import encode_view
 from datagen.foundation.images import encode_png

@@ -13,8 +13,7 @@ import pytest
 import torch
 
 from datagen.formats.base import read_json
-from datagen.formats.shard import DatasetIndex, ShardReader
-from datagen.formats.view_places import index_shard
+from datagen.formats.shard import DatasetIndex, ShardReader, index_shard
 from datagen.foundation.errors import InputError
 from model.networks import NetworkConfig
 from model.training.config import DataConfig

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from datagen.assembly.free_space import FreeSpace
-from datagen.assembly.geometry import GeometryCache, WorldScene
+from datagen.assembly.geometry import WorldScene, load_geometry
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.lights import AreaLight
 from datagen.formats.package import open_package
@@ -132,7 +132,7 @@ def test_cameras_are_at_plausible_positions(unit_m: float, tmp_path: Path) -> No
     with Library([tmp_path]) as library:
         package = library.package("room")
         cameras = choose_cameras(library, package, recipe, (96, 64), 12, 5, seed=3)
-        geometry = GeometryCache().get(package)
+        geometry = load_geometry(package)
     assert [c.name for c in cameras] == [f"view-{k:03d}" for k in range(12)] + [
         f"path-{k:03d}" for k in range(5)
     ]
