@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +11,11 @@ from numpy.typing import NDArray
 
 from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.axes import Z_UP_FROM_Y_UP
+from datagen.foundation.meshes.glb import GlbWriter
 from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.export.gltf_lights import PUNCTUAL, emissive, punctual_lights
 from model.reconstruction.export.metallic_textures import DIELECTRIC_F0, MAX_DIELECTRIC_F0, ConversionError
 from model.reconstruction.export.slots import Reconstruction, export_slots, patch_meshes
-
-_FLOAT, _UINT = 5126, 5125
 
 
 def write_glb(path: Path, reconstruction: Reconstruction, *, has_punctual: bool = False) -> ConversionError:
@@ -94,39 +91,7 @@ def _unit(vectors: NDArray) -> NDArray:
     return np.where(length > 1e-12, vectors / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
 
 
-class _Glb:
-    """Collects the binary data of a GLB and the JSON tables that describe it."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-        self.views: list[dict[str, Any]] = []
-        self.accessors: list[dict[str, Any]] = []
-        self.images: list[dict[str, Any]] = []
-
-    def _view(self, content: bytes, target: int | None = None) -> int:
-        self.data += bytes(-len(self.data) % 4)
-        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(content)}
-        self.views.append(view if target is None else {**view, "target": target})
-        self.data += content
-        return len(self.views) - 1
-
-    def array(self, rows: NDArray, kind: str, *, has_bounds: bool = False) -> int:
-        """Add an array (N, C) of vertex data (float32) or, if ``kind`` is ``SCALAR``, of indices (uint32);
-        return the index of its accessor.
-        """
-        is_index = kind == "SCALAR"
-        stored = np.ascontiguousarray(rows, "<u4" if is_index else "<f4")
-        accessor: dict[str, Any] = {
-            "bufferView": self._view(stored.tobytes(), 34963 if is_index else 34962),
-            "componentType": _UINT if is_index else _FLOAT,
-            "count": len(stored),
-            "type": kind,
-        }
-        if has_bounds:
-            accessor["min"], accessor["max"] = stored.min(axis=0).tolist(), stored.max(axis=0).tolist()
-        self.accessors.append(accessor)
-        return len(self.accessors) - 1
-
+class _Glb(GlbWriter):
     def mesh(self, mesh: Mesh, *, has_uv: bool) -> dict[str, Any]:
         """Add a mesh; return the JSON attributes and indices of its primitive."""
         assert mesh.normals is not None and mesh.uv is not None
@@ -138,26 +103,3 @@ class _Glb:
         if has_uv:
             attributes["TEXCOORD_0"] = self.array(mesh.uv * [1, -1] + [0, 1], "VEC2")
         return {"attributes": attributes, "indices": self.array(mesh.faces.reshape(-1, 1), "SCALAR")}
-
-    def image(self, png: bytes) -> int:
-        """Add a PNG image; return its index, which is also that of its texture."""
-        self.images.append({"bufferView": self._view(png), "mimeType": "image/png"})
-        return len(self.images) - 1
-
-    def tables(self) -> dict[str, Any]:
-        """Return the JSON tables of the collected objects."""
-        return {
-            "images": self.images,
-            "accessors": self.accessors,
-            "bufferViews": self.views,
-            "buffers": [{"byteLength": len(self.data) + -len(self.data) % 4}],
-        }
-
-    def encode(self, document: dict[str, Any]) -> bytes:
-        """Encode a GLB file from the JSON ``document`` and the collected data."""
-        text = json.dumps(document, sort_keys=True, separators=(",", ":")).encode()
-        text += b" " * (-len(text) % 4)
-        binary = bytes(self.data) + bytes(-len(self.data) % 4)
-        chunks = ((b"JSON", text), (b"BIN\0", binary))
-        body = b"".join(struct.pack("<I4s", len(chunk), kind) + chunk for kind, chunk in chunks)
-        return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
