@@ -11,53 +11,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 
 from datagen.assembly.geometry import AssetGeometry
 from datagen.formats.asset import EnvironmentAsset, MaterialClass, Surface
 
-_WORDS: tuple[tuple[Surface, str], ...] = (
-    ("legs", "legs leg castors base"),
-    ("ceiling", "ceiling soffit"),
-    ("floor", "floor floorboards floortiles parquet laminate"),
-    ("rug", "rug carpet mat doormat"),
-    ("tiles", "tile tiles walltiles splashback backsplash"),
-    ("shade", "shade lampshade"),
-    ("radiator", "radiator heater"),
-    ("joinery", "trim trims skirting baseboard door doors sill sills window windows windowframe architrave"),
-    ("joinery", "panelling paneling moulding molding stair stairs"),
-    ("wall", "wall walls wallpaper"),
-    ("worktop", "worktop countertop counter"),
-    ("appliance", "appliance appliances fridge refrigerator freezer oven dishwasher microwave washer dryer"),
-    ("appliance", "cooker stove hob"),
-    ("sanitary", "enamel basin washbasin bath bathtub bathtube toilet sink"),
-    ("upholstery", "sofa couch armchair cushion cushions upholstery seats chairseat mattress pillow pillows"),
-    ("upholstery", "shell pouf"),
-    ("curtain", "curtain curtains blind blinds drape drapes"),
-    ("towel", "towel towels laundry linen bedding duvet blanket bedspread"),
-    ("tabletop", "table tabletop desk top"),
-    ("frame", "frame frames woodframe"),
-    ("cover", "book books cover note magazine magazines"),
-    ("vessel", "pot pots vase vases bowl cup plate crockery"),
-    ("fitting", "hardware handle handles tap taps rail rails hinge hinges knob knobs"),
-    ("fitting", "chrome brass steel gold copper stainless stainlessrough stainlesssmooth"),
-    ("furniture", "furniture chair chairs stool bench bed board seat shelf shelves bookcase bookshelf"),
-    ("furniture", "sideboard dresser drawers unit units cupboard cabinet vanity wardrobe nightstand console"),
-)
-"""Words that imply a kind of surface; if a name contains several, the first line of the table applies."""
-_SURFACE_OF_WORD: dict[str, Surface] = {word: surface for surface, words in _WORDS for word in words.split()}
-_RANK: dict[Surface, int] = {surface: rank for rank, (surface, _) in reversed(list(enumerate(_WORDS)))}
-_OF_CATEGORY: dict[str, Surface] = {
-    "crockery": "vessel", "vase": "vessel", "bottle": "vessel", "candle": "vessel", "fruit": "vessel",
-    "plant": "vessel", "kitchenware": "utensil", "tool": "utensil", "electronics": "gadget",
-    "clock": "gadget", "book": "cover", "cushion": "upholstery", "frame": "frame", "lamp": "legs",
-}  # fmt: skip
-_OF_CLASS: dict[MaterialClass, Surface] = {
-    "wood": "furniture", "metal": "fitting", "fabric": "upholstery", "leather": "upholstery",
-    "stone": "worktop", "glazed": "vessel", "ceramic": "vessel", "paper": "cover", "plastic": "gadget",
-    "painted": "furniture", "plaster": "wall",
-}  # fmt: skip
+_TABLES: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("surfaces.yaml").read_text("utf-8"))
+_SURFACE_OF_WORD: dict[str, Surface] = {
+    w: surface for surface, words in _TABLES["words"] for w in words.split()
+}
+_RANK: dict[Surface, int] = {name: rank for rank, (name, _) in reversed(list(enumerate(_TABLES["words"])))}
+_OF_CATEGORY: dict[str, Surface] = _TABLES["of_category"]
+_OF_CLASS: dict[MaterialClass, Surface] = _TABLES["of_class"]
 _MIN_SHELL_SHARE = 0.04  # smallest share of a room's surface area for a floor, ceiling or wall
 _LEVEL = 0.7  # |z| of a unit normal above which a triangle counts as horizontal
 

@@ -16,7 +16,7 @@ from datagen.foundation.random import Draws
 from datagen.parametric.checks import Furnished, faults_of
 from datagen.parametric.furnish import dress_windows, wire
 from datagen.parametric.items import Placed, Style
-from datagen.parametric.kinds import KINDS, Kind
+from datagen.parametric.kinds import KINDS, Kind, furnish
 from datagen.parametric.layout import Furnisher, Unfit
 from datagen.parametric.shell import CASING_M, WALLS, Door, Shell, Wall, Window, outside, shell_items
 
@@ -54,7 +54,7 @@ def make_room(kind: str, seed: str, has_scenery: bool = True) -> MadeRoom:
             room.zones += [("beams", box) for box in beams.boxes()]
         try:
             dress_windows(room, spec.curtains, spec.blinds, spec.radiators)
-            spec.furnish(room)
+            furnish(kind, room)
             wire(room, Draws(*key, "electrics"))
         except Unfit as why:
             rejected.append(str(why))
