@@ -29,7 +29,7 @@ class GlbWriter:
         self.data += content
         return len(self.views) - 1
 
-    def array(self, rows: NDArray, kind: str, *, has_bounds: bool = False) -> int:
+    def array(self, rows: NDArray[Any], kind: str, *, has_bounds: bool = False) -> int:
         """Add an array (N, C) of vertex data (float32) or, if ``kind`` is ``SCALAR``, of indices (uint32);
         return the index of its accessor.
         """
