@@ -17,9 +17,11 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
@@ -69,49 +71,10 @@ class CameraFaults(StrictModel):
         return self
 
 
-_MESH = GeometryError(edge_m=0.1, noise_m=0.01, keep_share=0.3, hole_share=0.05)
-_SINGLE: dict[str, dict[str, object]] = {
-    # an exposure that keeps lamps below the limit would leave the room black
-    "bits-8": {"bits": 8, "clipped_share": 0.01},
-    "bits-14": {"bits": 14, "clipped_share": 0.001},
-    "exposure": {"exposure_stops": 0.5},
-    "clipping": {"clipped_share": 0.05},
-    "response": {"contrast": 0.08},
-    "noise": {"white_electrons": 4000.0, "read_electrons": 4.0, "clipped_share": 0.02},
-    "vignetting": {"vignetting_stops": 1.0},
-    "distortion": {"distortion": 0.01},
-    "jpeg": {"bits": 8, "jpeg": 85, "clipped_share": 0.02},
-    "pose": {"pose_mm": 5.0, "pose_deg": 0.2},
-    "mesh": {"geometry": _MESH},
-}
-_RAW: dict[str, object] = {
-    "bits": 14,
-    "exposure_stops": 0.05,
-    "clipped_share": 0.01,
-    "white_electrons": 30000.0,
-    "read_electrons": 4.0,
-    "vignetting_stops": 0.5,
-    "distortion": 0.002,
-    "pose_mm": 2.0,
-    "pose_deg": 0.05,
-}
-_PHONE: dict[str, object] = {
-    "bits": 8,
-    "exposure_stops": 0.4,
-    "clipped_share": 0.04,
-    "contrast": 0.08,
-    "white_electrons": 4000.0,
-    "read_electrons": 4.0,
-    "vignetting_stops": 0.5,
-    "distortion": 0.005,
-    "jpeg": 88,
-    "pose_mm": 5.0,
-    "pose_deg": 0.1,
-}
-_COMBINED = {"raw-camera": _RAW, "phone": _PHONE, "phone-and-mesh": {**_PHONE, "geometry": _MESH}}
+_FAULTS = yaml.safe_load(Path(__file__).with_name("cameras.yaml").read_text("utf-8"))
 PRESETS = {
     name: CameraFaults.model_validate({"name": name, **fields})
-    for name, fields in {**_SINGLE, **_COMBINED}.items()
+    for name, fields in {**_FAULTS["single"], **_FAULTS["combined"]}.items()
 }
 """Camera faults by name: each fault separately, and three combinations."""
 EACH = "each"
@@ -125,7 +88,7 @@ def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, .
         if isinstance(name, CameraFaults):
             found.append(name)
         elif name == EACH:
-            found += [PRESETS[single] for single in _SINGLE]
+            found += [PRESETS[single] for single in _FAULTS["single"]]
         elif name in PRESETS:
             found.append(PRESETS[name])
         else:

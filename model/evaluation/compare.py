@@ -16,7 +16,7 @@ from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import input_error
 from model.evaluation.noise import Difference, difference
 from model.evaluation.results import MethodResult, SuiteResult
-from model.evaluation.tables import LETTERS, LIGHTS, MAP_STAGES, VIEW_SETS, Cell, Table
+from model.evaluation.tables import LETTERS, LIGHTS, MAP_STAGES, VIEW_SETS, Row, Table
 
 _IMAGES = {"psnr_srgb_db": ("PSNR (dB)", True), "dssim": ("DSSIM", False), "lpips_vgg": ("LPIPS", False)}
 """Compared image metrics, by name: (title, whether a higher value is better)."""
@@ -37,7 +37,7 @@ def comparison(this: SuiteResult, other: SuiteResult) -> Table:
 
     Raises :class:`InputError` if they have no scene and method in common with at least two judged views.
     """
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     earlier = {scene.name: scene for scene in other.scenes}
     for scene in this.scenes:
         if scene.name not in earlier:
@@ -61,11 +61,12 @@ def comparison(this: SuiteResult, other: SuiteResult) -> Table:
         "paired bootstrap over views and, where views were rendered with a second seed, the renderer's "
         "noise. A difference below two standard errors counts as none."
     )
-    columns = ("scene", "method", "figure", "other", "this", "difference", "noise", "verdict")
-    return Table("comparison", "Differences", caption, columns, tuple(rows), (0, 0, 0, 4, 4, 4, 4, 0))
+    numbers = dict.fromkeys(("other", "this", "difference", "noise"), 4)
+    columns = {**dict.fromkeys(("scene", "method", "figure"), 0), **numbers, "verdict": 0}
+    return Table("comparison", "Differences", caption, columns, rows)
 
 
-def _cells(found: Difference, more_is_better: bool) -> tuple[Cell, ...]:
+def _cells(found: Difference, more_is_better: bool) -> Row:
     change = found.this - found.other
     verdict = NONE if found.is_none else "better" if (change > 0) == more_is_better else "worse"
     return (found.other, found.this, change, found.error, verdict)

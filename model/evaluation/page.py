@@ -10,22 +10,20 @@ import base64
 import html
 import io
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.color import cividis
-from model.evaluation.confidence_chart import confidence_svg
-from model.evaluation.measure_tables import image_noise
+from model.evaluation.charts import confidence_svg, hue, overview_svg
 from model.evaluation.metrics import shown
-from model.evaluation.overview import overview_svg
-from model.evaluation.page_style import SCRIPT, STYLE, hue
 from model.evaluation.pictures import COLUMNS, TRUTH, Row, map_pixels, rendered_views, small
 from model.evaluation.rendering import JudgedView
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
 from model.evaluation.surface_kinds import KINDS
-from model.evaluation.tables import LETTERS, LIGHTS, VIEW_SETS, Table
+from model.evaluation.tables import LETTERS, LIGHTS, VIEW_SETS, Table, image_noise
 
 _JPEG_QUALITY = 88
 _BOUNDS = ("oracle", "truth")  # kinds of methods that are upper bounds of all others
@@ -67,9 +65,14 @@ def page_html(
     return (
         "<!doctype html><html lang=en><head><meta charset=utf-8>"
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{html.escape(title)}</title><style>{STYLE}</style></head>"
-        f"<body><main>{''.join(parts)}</main><script>{SCRIPT}</script></body></html>\n"
+        f"<title>{html.escape(title)}</title><style>{_bundled('page.css')}</style></head>"
+        f"<body><main>{''.join(parts)}</main><script>{_bundled('page.js')}</script></body></html>\n"
     )
+
+
+def _bundled(name: str) -> str:
+    """Text of a file next to this module, without its first line, the licence."""
+    return "\n" + Path(__file__).with_name(name).read_text("utf-8").partition("\n")[2]
 
 
 def scene_html(title: str, scene: SceneResult, rows: Sequence[Row], truth: Mapping[str, JudgedView]) -> str:

@@ -63,6 +63,10 @@ class MethodResult(StrictModel):
         faults += [self.geometry] if self.geometry != "true" else []
         return f"{self.method} ({', '.join(faults)})" if faults else self.method
 
+    def figures(self, light: str, views: ViewSet) -> Figures:
+        """Means over views of the figures of re-renderings; empty if there are none."""
+        return self.images.get(light, {}).get(views, {})
+
 
 class SceneResult(StrictModel):
     """Results of all methods on a scene.

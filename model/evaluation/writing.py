@@ -17,9 +17,7 @@ from datagen.formats.base import (
 )
 from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png
-from model.evaluation.confidence_chart import confidence_svg
-from model.evaluation.measure_tables import measure_tables
-from model.evaluation.overview import overview_svg, standalone
+from model.evaluation.charts import confidence_svg, overview_svg, standalone
 from model.evaluation.page import page_html
 from model.evaluation.pictures import COLUMNS, RELIGHTING, scene_rows, sheet
 from model.evaluation.rendering import JudgedView
@@ -60,8 +58,7 @@ def is_written(result: SuiteResult, out: Path) -> bool:
 def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]], out: Path) -> list[Path]:
     """Write the results to the folder ``out``, in place of earlier ones, and return the paths; ``stored``
     contains the true views under the scenes' own light, by scene and view."""
-    maps, *others = tables_of(result)
-    tables = [maps, *measure_tables(result), *others]
+    tables = tables_of(result)
     rows = {scene.name: scene_rows(scene, stored[scene.name]) for scene in result.scenes}
     content = {
         "evaluation.md": _markdown(result, tables).encode(),

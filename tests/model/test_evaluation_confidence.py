@@ -14,9 +14,8 @@ from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
-from model.evaluation.confidence_chart import confidence_svg
+from model.evaluation.charts import confidence_svg, standalone
 from model.evaluation.merged_confidence import merged_confidence
-from model.evaluation.overview import standalone
 from model.evaluation.results import MethodResult, SuiteResult
 from tests.model.suite_results import suite_of
 

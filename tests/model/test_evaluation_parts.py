@@ -19,13 +19,12 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.exr import encode_view
 from datagen.foundation.meshes.mesh import Mesh, joined
 from model.evaluation.baselines import maps_files
+from model.evaluation.charts import overview_svg, standalone
 from model.evaluation.evaluate import judge
 from model.evaluation.lpips import Lpips
-from model.evaluation.measure_tables import measure_tables
 from model.evaluation.mesh_errors import GeometryError, with_errors
 from model.evaluation.metrics import common_exposure, image_figures, means, psnr_db, shown, ssim
 from model.evaluation.opened_scene import OpenedScene
-from model.evaluation.overview import overview_svg, standalone
 from model.evaluation.pictures import small
 from model.evaluation.rendering import JudgedView
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
@@ -347,7 +346,8 @@ def _result() -> SuiteResult:
 
 
 def test_tables_contain_the_papers_figures(tmp_path: Path) -> None:
-    maps, summary, images, cost = tables_of(_result())
+    tables = {table.name: table for table in tables_of(_result())}
+    maps, summary, images, cost = (tables[name] for name in ("maps", "rerendering", "images", "cost"))
     rows = {row[1]: row for row in maps.rows}
     assert rows["paper: Ours"][5:8] == (0.022135, 0.016522, 0.055563)
     assert rows["paper: Ours Im."][2:5] == (0.030718, 0.049969, 0.064362)
@@ -387,9 +387,7 @@ def test_an_unknown_error_is_an_empty_cell(tmp_path: Path) -> None:
         .model_copy(update={"image_views": {"own": {"novel": {"path-000": {"psnr_srgb_db": 20.0}}}}})
     )
     scene = result.scenes[0].model_copy(update={"methods": (method,)})
-    (noise,) = (
-        t for t in measure_tables(result.model_copy(update={"scenes": (scene,)})) if t.name == "noise"
-    )
+    (noise,) = (t for t in tables_of(result.model_copy(update={"scenes": (scene,)})) if t.name == "noise")
     assert noise.texts()[0][4:] == ["20.00", "", "0.00", ""]
     assert noise.csv().splitlines()[1].endswith("novel,20.0,,0.0,")
 

@@ -17,11 +17,11 @@ from datagen.formats.recipe import RenderRecipe
 from datagen.rendering.view_job import ViewJob
 from model.checkpoint import DataRecord, bundled_checkpoint, read_card
 from model.evaluation.evaluate import Evaluation, evaluate
-from model.evaluation.measure_tables import measure_tables
 from model.evaluation.noise import bootstrap_error
 from model.evaluation.results import MethodResult
 from model.evaluation.room import plan_scene
 from model.evaluation.suite import MapsMethod, NetworkMethod, Suite, TruthMethod, read_suite
+from model.evaluation.tables import tables_of
 from model.evaluation.writing import is_written, write_results
 from model.reconstruction.predict.predictor import Predictor
 from tests.conftest import REPOSITORY
@@ -192,7 +192,7 @@ def test_cameras_and_seeds_reach_the_results(small: tuple[Suite, Evaluation], ca
     assert "own" in scene.renders
     assert truth.images["own"]["input"]["psnr_srgb_db"] > plain.images["own"]["input"]["psnr_srgb_db"] + 5
     assert 0 < truth.seed_spread["own"]["psnr_srgb_db"] < 5
-    tables = measure_tables(evaluation.result.model_copy(update={"scenes": (scene,)}))
+    tables = tables_of(evaluation.result.model_copy(update={"scenes": (scene,)}))
     assert [row[:3] for table in tables if table.name == "cameras" for row in table.rows] == [
         ("small-room", "texture", "as rendered"),
         ("small-room", "texture", "phone"),

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Chart of all methods in all scenes: errors of the merged maps, and PSNR of re-renderings."""
+"""SVG charts of a suite: errors of maps and PSNR of re-renderings of all methods in all scenes, and errors of
+the maps by quarter of confidence. Text is in the current colour, so the charts follow the theme of a page.
+"""
 
 from __future__ import annotations
 
@@ -10,18 +12,46 @@ from dataclasses import dataclass
 import numpy as np
 
 from datagen.foundation.buffers import MATERIAL_MAPS
-from model.evaluation.measure_tables import image_noise
-from model.evaluation.page_style import GRID, hue, legend
+from model.evaluation.map_measures import QUARTERS
 from model.evaluation.results import MethodResult, SuiteResult
-from model.evaluation.tables import LETTERS
+from model.evaluation.tables import LETTERS, image_noise
 
+GRID = "#dfe3e8"
+"""Colour of the lines of charts."""
 PSNR_DB = (10.0, 45.0)
 """Range of the panels of re-renderings; values outside are drawn at its ends."""
 MSE = (1e-4, 1.0)
 """Range of the logarithmic panels of maps."""
+RMSE = (5e-3, 1.0)
+"""Like :data:`MSE`, of the chart of confidence."""
 _LABEL_PX, _PANEL_PX, _GAP_PX, _LINE_PX, _TOP_PX = 104, 148, 36, 9, 52
 _LABEL_LINES_PX = 28  # name of the scene and of the camera
 _INK = "#1d2127"
+_TICKS = (0.01, 0.1, 1.0)  # of the chart of confidence, like the sizes below
+_AXES_PX, _AXES_HEIGHT_PX, _AXES_GAP_PX, _LEFT_PX, _AXES_TOP_PX, _BOTTOM_PX = 290, 140, 40, 34, 48, 26
+
+
+def hue(index: int) -> str:
+    """Colour of the method at ``index`` in charts."""
+    hues = ("#2f6f8f", "#d08a2e", "#5a8f4e", "#8a5a9c", "#b5483f", "#7a7f87", "#3d9c94", "#c06c9a")
+    return hues[index % len(hues)]
+
+
+def _legend(labels: Sequence[str]) -> tuple[list[str], float]:
+    """Elements of a legend in one line, and its width in pixels."""
+    parts, x = [], 0.0
+    for place, label in enumerate(labels):
+        parts.append(f'<circle cx="{x + 5:.0f}" cy="9" r="4" fill="{hue(place)}"/>')
+        parts.append(f'<text x="{x + 13:.0f}" y="13">{html.escape(label)}</text>')
+        x += 26 + 6.2 * len(label)
+    return parts, x
+
+
+def _svg(width: int, height: int, title: str, parts: Sequence[str]) -> str:
+    return (
+        f'<svg viewBox="0 0 {width} {height}" role="img" font-family="system-ui, sans-serif" font-size="11" '
+        f'fill="currentColor"><title>{title}</title>{"".join(parts)}</svg>'
+    )
 
 
 @dataclass(frozen=True)
@@ -73,10 +103,7 @@ def _panels() -> list[Panel]:
 
 
 def overview_svg(result: SuiteResult) -> str:
-    """SVG with a block per scene and camera, in it a line per method, and a column per measure.
-
-    Text is in the current colour, so the chart follows the theme of a page that embeds it.
-    """
+    """SVG with a block per scene and camera, in it a line per method, and a column per measure."""
     judged = [
         (scene.name, camera, [m.model_copy(update={"camera": ""}) for m in part.methods if not m.skipped])
         for scene in result.scenes
@@ -87,7 +114,9 @@ def overview_svg(result: SuiteResult) -> str:
     width = _LABEL_PX + len(panels) * (_PANEL_PX + _GAP_PX)
     block = max(_LINE_PX * len(labels), _LABEL_LINES_PX) + 14
     height = _TOP_PX + block * len(judged) + 6
-    parts = _legend(labels, width)
+    parts, _ = _legend(labels)
+    note = "filled: maps and input views; hollow: novel views; bars: standard errors"
+    parts.append(f'<text x="{width - _GAP_PX}" y="13" text-anchor="end" opacity=".65">{note}</text>')
     for column, panel in enumerate(panels):
         left = _LABEL_PX + column * (_PANEL_PX + _GAP_PX)
         parts.append(f'<text x="{left}" y="34" font-weight="600">{panel.title}</text>')
@@ -109,10 +138,8 @@ def overview_svg(result: SuiteResult) -> str:
         parts.append(f'<line x1="0" x2="{width}" y1="{y}" y2="{y}" stroke="{GRID}"/>')
         parts.append(f'<text x="0" y="{y + block / 2 + 4}" font-weight="600">{html.escape(name)}</text>')
         parts.append(f'<text x="0" y="{y + block / 2 + 18}" opacity=".65">{html.escape(camera)}</text>')
-    return (
-        f'<svg viewBox="0 0 {width} {height}" role="img" '
-        'font-family="system-ui, sans-serif" font-size="11" fill="currentColor"><title>Errors of maps and '
-        f"PSNR of re-renderings of every method in every scene</title>{''.join(parts)}</svg>"
+    return _svg(
+        width, height, "Errors of maps and PSNR of re-renderings of every method in every scene", parts
     )
 
 
@@ -123,16 +150,64 @@ def standalone(svg: str) -> str:
     return f'{head} {namespace} color="{_INK}"><rect width="100%" height="100%" fill="#fff"/>{rest}\n'
 
 
-def _legend(labels: Sequence[str], width: int) -> list[str]:
-    parts, _ = legend(labels)
-    note = "filled: maps and input views; hollow: novel views; bars: standard errors"
-    parts.append(f'<text x="{width - _GAP_PX}" y="13" text-anchor="end" opacity=".65">{note}</text>')
-    return parts
-
-
 def _mark(mark: Mark, panel: Panel, left: float, y: float, color: str) -> str:
     x = left + panel.x(mark.value)
     low, high = (left + panel.x(mark.value + sign * mark.error) for sign in (-1, 1))
     bar = f'<line x1="{low:.1f}" x2="{high:.1f}" y1="{y}" y2="{y}" stroke="{color}"/>' if mark.error else ""
     fill = color if mark.is_filled else "none"
     return f'{bar}<circle cx="{x:.1f}" cy="{y}" r="3.2" fill="{fill}" stroke="{color}" stroke-width="1.4"/>'
+
+
+def confidence_svg(result: SuiteResult) -> str:
+    """SVG with a panel per map and a line per scene and method; '' if no method states its confidence."""
+    lines = [
+        (f"{scene.name}, {method.label}", method.calibration)
+        for scene in result.scenes
+        for method in scene.methods
+        if method.calibration
+    ]
+    if not lines:
+        return ""
+    width = _LEFT_PX + len(MATERIAL_MAPS) * (_AXES_PX + _AXES_GAP_PX)
+    height = _AXES_TOP_PX + _AXES_HEIGHT_PX + _BOTTOM_PX
+    parts, legend_px = _legend([label for label, _ in lines])
+    for column, (name, letter) in enumerate(zip(MATERIAL_MAPS, LETTERS.values(), strict=True)):
+        left = _LEFT_PX + column * (_AXES_PX + _AXES_GAP_PX)
+        parts += _axes(left, f"RMSE of {letter}")
+        for place, (_, calibration) in enumerate(lines):
+            parts += _line(left, calibration[name][1:], hue(place))
+    title = "Errors of the maps by quarter of the pixels in order of confidence"
+    return _svg(max(width, int(legend_px)), height, title, parts)
+
+
+def _y(rmse: float) -> float:
+    low, high = np.log10(RMSE)
+    share = (np.log10(np.clip(rmse, *RMSE)) - low) / (high - low)
+    return float(_AXES_TOP_PX + _AXES_HEIGHT_PX * (1 - share))
+
+
+def _x(left: float, quarter: int) -> float:
+    return left + _AXES_PX * (quarter + 0.5) / QUARTERS
+
+
+def _axes(left: float, title: str) -> list[str]:
+    parts = [f'<text x="{left}" y="{_AXES_TOP_PX - 10}" font-weight="600">{title}</text>']
+    for tick in _TICKS:
+        y = _y(tick)
+        ends = f'x1="{left}" x2="{left + _AXES_PX}" y1="{y:.1f}" y2="{y:.1f}"'
+        parts.append(f'<line {ends} stroke="{GRID}"/>')
+        parts.append(f'<text x="{left - 4}" y="{y + 4:.1f}" text-anchor="end" opacity=".65">{tick:g}</text>')
+    for x, anchor, label in (
+        (left, "start", "least confident"),
+        (left + _AXES_PX, "end", "most confident"),
+    ):
+        place = f'x="{x}" y="{_AXES_TOP_PX + _AXES_HEIGHT_PX + 16}" text-anchor="{anchor}"'
+        parts.append(f'<text {place} opacity=".65">{label}</text>')
+    return parts
+
+
+def _line(left: float, rmse: Sequence[float], color: str) -> list[str]:
+    points = [(_x(left, quarter), _y(value)) for quarter, value in enumerate(rmse)]
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+    dots = [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{color}"/>' for x, y in points]
+    return [f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="1.6"/>', *dots]
