@@ -47,7 +47,7 @@ TRACKS: tuple[TrackName, ...] = ("diffuse", "specular")
 CONSTANT = "constant (training mean)"
 
 Rows = dict[str, dict[str, float]]
-"""Metrics (:meth:`MapErrors.metrics`) by method."""
+"""Metrics (:func:`~model.training.validation.evaluate`) by method."""
 
 
 def judged_views(data: TrainingData, judge: Path | None) -> list[ViewPlace]:

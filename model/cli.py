@@ -87,7 +87,7 @@ def train(
 
         typer.echo(describe_run(resolved, data, chosen))
         return
-    from model.training.run_state import NonFiniteError
+    from model.training.run_folder import NonFiniteError
     from model.training.sources import validation_note
     from model.training.train import Trainer
 

@@ -27,7 +27,7 @@ from model.reconstruction.captures.mesh_file import load_mesh
 from model.reconstruction.captures.photograph_files import read_photograph
 from model.reconstruction.captures.read import read_capture
 from model.training.config import resolve_config
-from model.training.run_state import RunRecord, check_same_run
+from model.training.run_folder import RunRecord, check_same_run
 
 
 def _import(path: Path) -> object:

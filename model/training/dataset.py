@@ -14,6 +14,7 @@ scalars.
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import shutil
@@ -32,7 +33,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 from datagen.formats.shard import ViewPlace, read_buffers, read_record
 from datagen.formats.view import ViewRecord
 from datagen.foundation.buffers import LIGHT_BUFFERS, MATERIAL_MAPS, get_buffer
-from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
+from datagen.foundation.errors import InputError, Problem, Problems, input_error, raise_problems
 from model.networks import COLOR_STATISTICS, NetworkConfig, input_channels
 from model.own_network import network_inputs
 from model.training.conditions import generator_for
@@ -89,11 +90,8 @@ def _problems_of(
     size_px: tuple[int, int] | None,
 ) -> list[Problem]:
     """All faults of a decoded view: size, NaN, values out of range, normals not of unit length, no depth."""
-    problems = []
-
-    def complain(field: str, got: str, expected: str) -> None:
-        problems.append(Problem(where, field, got, expected, _REMEDY))
-
+    problems = Problems(where)
+    complain = functools.partial(problems.add, remedy=_REMEDY)
     camera = record.camera
     height, width = buffers["beauty"].shape[:2]
     if (height, width) != (camera.height_px, camera.width_px):

@@ -8,8 +8,9 @@ bit for bit on the same machine. Under ``torchrun`` each process is a rank, and 
 from __future__ import annotations
 
 import math
+import signal
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,15 @@ from model.training.config import TrainingConfig
 from model.training.context import make_context
 from model.training.dataset import buffer_names
 from model.training.phases import Phase
-from model.training.run_folder import RunFolder
+from model.training.run_folder import (
+    NonFiniteError,
+    RunFolder,
+    RunProgress,
+    restore_optimizer,
+    save_bad_batch,
+)
 from model.training.run_log import RunLog
-from model.training.run_state import NonFiniteError, RunProgress, restore_optimizer, save_bad_batch
 from model.training.sources import open_data, spread
-from model.training.stopping import stop_signals
 from model.training.validation import final_metrics, phase_metrics, score_of, valid_views
 
 _STEP_PURPOSE = 0x57
@@ -230,3 +235,26 @@ class Trainer:
             return self.stop_requested
         flag = torch.tensor(float(self.stop_requested), device=self.context.device)
         return self.ranks.mean({"stop": flag})["stop"] > 0
+
+
+@contextmanager
+def stop_signals(request: Callable[[], None]) -> Iterator[None]:
+    """Context in which SIGINT and SIGTERM call ``request``; the first one restores SIGINT's old handler."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    try:
+        earlier = {number: signal.getsignal(number) for number in numbers}
+
+        def handle(number: int, frame: Any) -> None:
+            request()
+            signal.signal(signal.SIGINT, earlier[signal.SIGINT])
+
+        for number in numbers:
+            signal.signal(number, handle)
+    except ValueError:  # not in the main thread, the only one that can set signal handlers
+        yield
+        return
+    try:
+        yield
+    finally:
+        for number, handler in earlier.items():
+            signal.signal(number, handler)

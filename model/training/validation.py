@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -25,34 +24,6 @@ from model.training.sources import spread
 ALL_TRACKS = PHASE_TRACKS["joint"]
 Predictor = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
 """Function that maps a batch of buffers by name to predicted maps by name."""
-
-
-@dataclass
-class MapErrors:
-    """Sums by map of squared and absolute errors over surface pixels and channels, and their counts."""
-
-    squared: dict[str, float] = field(default_factory=dict)
-    absolute: dict[str, float] = field(default_factory=dict)
-    counts: dict[str, float] = field(default_factory=dict)
-
-    def add(self, predicted: Mapping[str, Tensor], batch: Mapping[str, Tensor]) -> None:
-        """Add the errors of the ``predicted`` maps (B, 3 or 1, H, W) of a batch."""
-        for name in MATERIAL_MAPS:
-            if name not in predicted:
-                continue
-            error = ((predicted[name].float() - batch[name]) * batch["mask"]).double()
-            for sums, values in ((self.squared, error.square()), (self.absolute, error.abs())):
-                sums[name] = sums.get(name, 0.0) + float(values.sum())
-            pixels = float(batch["mask"].sum()) * batch[name].shape[1]
-            self.counts[name] = self.counts.get(name, 0.0) + pixels
-
-    def metrics(self) -> dict[str, float]:
-        """Mean squared and absolute error of every map, as ``<map>_mse`` and ``<map>_l1``."""
-        result = {}
-        for name, count in self.counts.items():
-            result[f"{name}_mse"] = self.squared[name] / max(count, 1.0)
-            result[f"{name}_l1"] = self.absolute[name] / max(count, 1.0)
-        return result
 
 
 def score_of(metrics: Mapping[str, float]) -> float:
@@ -88,11 +59,23 @@ def whole_views(
 
 @torch.no_grad()
 def evaluate(predict: Predictor, batches: Iterable[Mapping[str, Tensor]]) -> dict[str, float]:
-    """Mean squared and absolute errors of ``predict`` over batches, as from :meth:`MapErrors.metrics`."""
-    errors = MapErrors()
+    """Mean squared and absolute errors of ``predict`` over the surface pixels and channels of batches, as
+    ``<map>_mse`` and ``<map>_l1``.
+    """
+    sums: dict[str, dict[str, float]] = {}
+    counts: dict[str, float] = {}
     for batch in batches:
-        errors.add(predict(batch), batch)
-    return errors.metrics()
+        predicted = predict(batch)
+        for name in MATERIAL_MAPS:
+            if name not in predicted:
+                continue
+            error = ((predicted[name].float() - batch[name]) * batch["mask"]).double()
+            total = sums.setdefault(name, {"mse": 0.0, "l1": 0.0})
+            total["mse"] += float(error.square().sum())
+            total["l1"] += float(error.abs().sum())
+            pixels = float(batch["mask"].sum()) * batch[name].shape[1]
+            counts[name] = counts.get(name, 0.0) + pixels
+    return {f"{n}_{kind}": v / max(counts[n], 1.0) for n, kinds in sums.items() for kind, v in kinds.items()}
 
 
 def network_predictor(

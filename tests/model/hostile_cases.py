@@ -31,7 +31,7 @@ from model.reconstruction.captures.options import CaptureOptions
 from model.reconstruction.captures.photographs import PhotographSource, relative_exposure
 from model.reconstruction.captures.read import read_capture
 from model.training.dataset import load_view
-from model.training.run_state import RunProgress, load_state, save_state
+from model.training.run_folder import RunProgress, load_state, save_state
 from tests.datagen.small_library import box, with_uv
 from tests.hostile import (
     PRISTINE,

@@ -8,7 +8,7 @@ import torch
 
 from model.bilateral_solver import SolverConfig
 from model.confidence import FILTERED_MAPS, ConfidenceNet, ConfidenceNets, filter_maps
-from model.training.confidence import confidence_loss
+from model.training.losses import confidence_loss
 
 pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR tensor support is in beta")
 

@@ -20,8 +20,8 @@ from model.checkpoint import load_checkpoint
 from model.training.config import parse_overrides, resolve_config
 from model.training.context import Ranks
 from model.training.dataset import buffer_names
+from model.training.run_folder import NonFiniteError
 from model.training.run_log import RunLog
-from model.training.run_state import NonFiniteError
 from model.training.train import Trainer
 from model.training.validation import (
     constant_predictor,
