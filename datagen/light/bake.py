@@ -20,8 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.light.bright_cells import bright_rectangles
-from datagen.light.bright_guide import BrightGuide
+from datagen.light.bright_guide import BrightGuide, bright_rectangles
 from datagen.light.emitters import EmitterSampler
 from datagen.light.radiance_field import (
     MIN_COSINE,

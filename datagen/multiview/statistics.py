@@ -301,7 +301,7 @@ def _order_statistics(values: list[Any], count: mi.UInt32) -> tuple[Any, Any, An
     import drjit as dr
 
     values = list(values)
-    for low, high in sorting_network(len(values)):
+    for low, high in sorting_network(len(values)).tolist():
         values[low], values[high] = (
             dr.minimum(values[low], values[high]),
             dr.maximum(values[low], values[high]),
@@ -314,19 +314,19 @@ def _order_statistics(values: list[Any], count: mi.UInt32) -> tuple[Any, Any, An
     return values[0], 0.5 * (lower + upper), maximum
 
 
-def sorting_network(size: int) -> list[tuple[int, int]]:
-    """Index pairs to compare and exchange, in order, in Batcher's odd-even merge sort of ``size`` values."""
-    pairs = []
-    full = 1 << max(size - 1, 0).bit_length()
+def sorting_network(size: int) -> NDArray[np.int64]:
+    """Index pairs (C, 2) to compare and exchange, in order, in Batcher's odd-even merge sort of ``size``
+    values.
+    """
+    pairs = [np.zeros((0, 2), np.int64)]
     run = 1
-    while run < full:
+    while run < size:
         step = run
         while step >= 1:
-            for start in range(step % run, full - step, 2 * step):
-                for offset in range(min(step, full - start - step)):
-                    low, high = start + offset, start + offset + step
-                    if low // (2 * run) == high // (2 * run) and high < size:
-                        pairs.append((low, high))
+            low = np.arange(step % run, size - step)
+            is_first = (low - step % run) // step % 2 == 0
+            low = low[is_first & (low // (2 * run) == (low + step) // (2 * run))]
+            pairs.append(np.stack([low, low + step], axis=1))
             step //= 2
         run *= 2
-    return pairs
+    return np.concatenate(pairs)

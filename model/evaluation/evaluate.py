@@ -32,17 +32,21 @@ from model.evaluation.baselines import given_maps, maps_files
 from model.evaluation.camera_faults import CameraFaults, as_taken
 from model.evaluation.lpips import Lpips
 from model.evaluation.map_measures import MapMeasures
-from model.evaluation.merged_confidence import merged_confidence
+from model.evaluation.mesh_errors import geometry_for
 from model.evaluation.metrics import means
 from model.evaluation.opened_scene import INSERTED, OWN, OpenedScene, Tell, key_of, open_scene, told
 from model.evaluation.predictions import light_revision, link_files, mesh_revision, predictions_folder
-from model.evaluation.recovered_light import recovered_sceneries
 from model.evaluation.rendering import JudgedView
-from model.evaluation.rerendering import figures_of, renderings_of, spread_of
+from model.evaluation.rerendering import (
+    figures_of,
+    merged_confidence,
+    recovered_sceneries,
+    renderings_of,
+    spread_of,
+)
 from model.evaluation.results import MethodResult, SuiteResult, read_result
 from model.evaluation.room import PlannedScene, assert_not_trained_on, photograph, plan_scene
 from model.evaluation.suite import MapsMethod, Method, NetworkMethod, Suite, TruthMethod
-from model.evaluation.unwrapped_geometry import geometry_for
 from model.reconstruction.infer import infer
 from model.reconstruction.infer_options import InferOptions
 from model.reconstruction.predict.sources import CheckpointMaps

@@ -14,8 +14,7 @@ from datagen.foundation.meshes.mesh import Mesh
 from datagen.geometry.traced import mesh_scene
 from datagen.light.background import NEAR, Background
 from datagen.light.bake import Baker
-from datagen.light.bright_cells import bright_rectangles
-from datagen.light.bright_guide import BrightGuide, BrightRectangle
+from datagen.light.bright_guide import BrightGuide, BrightRectangle, bright_rectangles
 from datagen.light.cells import surfel_cells
 from datagen.light.emitters import Emitters
 from datagen.light.radiance_field import RadianceField

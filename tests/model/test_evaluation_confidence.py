@@ -15,7 +15,7 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
 from model.evaluation.charts import confidence_svg, standalone
-from model.evaluation.merged_confidence import merged_confidence
+from model.evaluation.rerendering import merged_confidence
 from model.evaluation.results import MethodResult, SuiteResult
 from tests.model.suite_results import suite_of
 

@@ -16,7 +16,7 @@ from datagen.formats.lights import AreaLight, PointLight
 from datagen.formats.package import open_package
 from datagen.formats.standalone import configuration_of
 from model.evaluation.opened_scene import INSERTED, MODIFIED, OWN, RECOVERED
-from model.evaluation.recovered_light import recovered_sceneries
+from model.evaluation.rerendering import recovered_sceneries
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
 from model.evaluation.scenery import Scenery
 from model.evaluation.suite import ModifiedLight

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from datagen.geometry.views import TracedView
 from model.reconstruction.light import stage
 from model.reconstruction.light.shading_correction import SCALE_SUPPORT, network_scale
-from model.reconstruction.light.view_maps import MAX_EXCESS, view_materials
-from model.reconstruction.light.white import TYPICAL_WHITE, White
+from model.reconstruction.light.view_maps import MAX_EXCESS, TYPICAL_WHITE, White, view_materials
 from tests.model.light_room import photographed_room, quads
 from tests.model.test_light_room import of_quad, predicted, room, solved
 

@@ -50,13 +50,11 @@ from model.reconstruction.found_lights import (
     Rectangle,
     lights_text,
 )
-from model.reconstruction.light.found import found_lights
-from model.reconstruction.light.lamps import found_lamps
+from model.reconstruction.light.found import HEIGHT, direction_vectors, directions_of, found_lights, sky_image
+from model.reconstruction.light.lamps import found_lamps, shining_patches
 from model.reconstruction.light.openings import FINE, LeavingRays, found_openings
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.rectangles import cover, cut
-from model.reconstruction.light.shining import shining_patches
-from model.reconstruction.light.sky import HEIGHT, direction_vectors, directions_of, sky_image
 from oracles.textured_room import room_capture
 from tests.conftest import REPOSITORY
 from tests.model.light_room import LAMP, photographed_room, quads, room_geometry

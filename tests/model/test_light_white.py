@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.reconstruction.light.white import HALF_SUPPORT, TYPICAL_WHITE, white_paint
+from model.reconstruction.light.view_maps import HALF_SUPPORT, TYPICAL_WHITE, white_paint
 
 
 def surfels(*parts: tuple[int, tuple[float, float, float], float]) -> tuple[np.ndarray, np.ndarray]:

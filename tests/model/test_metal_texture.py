@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from datagen.light.bake import SpecularShading
 from datagen.light.surfels import CellGrid, Observations, Surfels
-from model.reconstruction.light.metal_texture import textured_specular_albedo
+from model.reconstruction.light.view_maps import textured_specular_albedo
 
 NUM, VIEWS = 200, 30
 SEGMENT_S = 0.5

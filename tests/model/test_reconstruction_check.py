@@ -21,7 +21,7 @@ from datagen.geometry.traced import TracedGeometry
 from model.reconstruction.captures.photographs import PhotographSource
 from model.reconstruction.check.capture_check import check_capture
 from model.reconstruction.check.edges import edge_field, match_edges, mesh_edges, photograph_field
-from model.reconstruction.check.registration import SeenShift, common_mistake
+from model.reconstruction.check.judgement import SeenShift, common_mistake
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.predict.sources import TRUTH
 from tests.model.photographed_room import (

@@ -15,8 +15,7 @@ from datagen.multiview.visibility import VisibilityOptions
 from model.reconstruction.atlas.atlas import empty_atlas
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.merge.lane_sort import LANES, STEP, networks, sort_lanes, sort_weighted_lanes
-from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions
-from model.reconstruction.merge.pixel_weights import pixels_per_metre
+from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions, pixels_per_metre
 from model.reconstruction.merge.weights import Weights
 from oracles.textured_room import geometry_of, materials_at, room_cameras, room_mesh, uv_of_pixels, view_maps
 

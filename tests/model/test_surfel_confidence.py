@@ -13,7 +13,7 @@ from datagen.light.surfels import NUM_SIDES, CellGrid, cell_of
 from model.reconstruction.atlas.atlas import empty_atlas
 from model.reconstruction.atlas.confidence import put_confidence
 from model.reconstruction.atlas.texels import TexelSurface
-from model.reconstruction.light.surfel_confidence import SurfelConfidence
+from model.reconstruction.light.confidence import SurfelConfidence
 
 SHAPE = np.array([8, 7, 6])
 CELL_M = 0.5

@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.light.cells import cell_keys
 from datagen.light.estimated_light import MAX_REFLECTED
-from datagen.light.surfels import CellGrid, Surfels
+from datagen.light.surfels import CellGrid, Surfels, cell_of
+from datagen.multiview.compiled import compiled
 
 IMPOSSIBLE = (0.1, 0.3)
 """Range of the local share of surfels that reflect more than their incident light, over which the confidence
@@ -48,6 +49,8 @@ _NEAR_BLOCKS = 8
 D_EVIDENCE, S_EVIDENCE = (0.65, 1.0), (0.0, 0.2)
 """Ranges of the photographed share of a surfel's hemisphere over which the confidence of D, and that of S and
 R, increases from 0 to 1."""
+_STEPS = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], np.int64)
+_NEAREST_FIRST = np.ascontiguousarray(_STEPS[np.argsort((_STEPS**2).sum(axis=1), kind="stable")])
 
 
 def surfel_confidence(photographed: NDArray, is_mirror: NDArray[np.bool_]) -> NDArray[np.float32]:
@@ -171,3 +174,56 @@ def _ramp(value: NDArray | float, ends: tuple[float, float]) -> NDArray:
     """Compute the smoothstep of ``value`` from 0 at the first of ``ends`` to 1 at the second."""
     t = np.clip((value - ends[0]) / (ends[1] - ends[0]), 0, 1)
     return t * t * (3 - 2 * t)
+
+
+@dataclass(frozen=True)
+class SurfelConfidence:
+    """Confidence of N surfels by cell and side of the surfel grid.
+
+    ``low`` (3,), ``cell_m`` and ``shape`` (3,): lower corner, cell size and number of cells of the grid;
+    ``cell`` (N,): index of each surfel's cell and side, ascending; ``confidence`` (N, 3): D, S and R in steps
+    of 1 / 255.
+    """
+
+    low: NDArray[np.float64]
+    cell_m: float
+    shape: NDArray[np.int64]
+    cell: NDArray[np.int64]
+    confidence: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, surfels: Surfels, confidence: NDArray) -> SurfelConfidence:
+        """Store the ``confidence`` (N, 3), in [0, 1], of ``surfels``."""
+        grid = surfels.grid
+        stored = np.round(255 * np.clip(confidence, 0, 1)).astype(np.uint8)
+        return cls(grid.low, grid.cell_m, grid.shape, np.flatnonzero(grid.surfel >= 0), stored)
+
+    def at(self, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
+        """Look up the confidence (..., 3), 0 to 255, at surface ``points`` with ``normals``, (..., 3) each.
+
+        It is that of the surfel in the point's cell, else in the nearest adjacent cell with one, else 0.
+        """
+        flat = points.reshape(-1, 3).astype(np.float64)
+        side = np.ascontiguousarray(normals.reshape(-1, 3), np.float32)
+        found = _look_up(
+            flat, side, self.low, self.cell_m, self.shape, self.cell, self.confidence, _NEAREST_FIRST
+        )
+        return found.reshape(points.shape)
+
+
+@compiled
+def _look_up(points, normals, low, cell_m, shape, cells, confidence, steps):
+    found = np.zeros((len(points), 3), np.uint8)
+    place = np.zeros(3)
+    for index in range(len(points)):
+        for step in range(len(steps)):
+            for axis in range(3):
+                place[axis] = points[index, axis] + steps[step, axis] * cell_m
+            cell = cell_of(place, normals[index], low, cell_m, shape)
+            if cell < 0:
+                continue
+            row = np.searchsorted(cells, cell)
+            if row < len(cells) and cells[row] == cell:
+                found[index] = confidence[row]
+                break
+    return found

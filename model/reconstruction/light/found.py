@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Collects the recovered light sources of a room for export (docs/light.md)."""
+"""Collects the recovered light sources of a room for export, with distant light from outside as an image of
+the sky (docs/light.md).
+"""
 
 from __future__ import annotations
 
@@ -7,23 +9,25 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from datagen.formats.capture import CaptureGeometry
 from datagen.foundation.color import luminance
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
+from datagen.light.background import Background
 from datagen.light.lighting import Lit
 from datagen.light.sun import ANGULAR_DIAMETER_RAD
 from datagen.light.surfels import camera_row
 from model.reconstruction.found_lights import FoundLights, FoundSun, RadianceSamples, as_color
-from model.reconstruction.light.lamps import found_lamps
+from model.reconstruction.light.lamps import found_lamps, shining_patches
 from model.reconstruction.light.openings import divide_openings, found_openings, leaving_rays
-from model.reconstruction.light.shining import shining_patches
-from model.reconstruction.light.sky import sky_image
 
 NUM_SAMPLES = 1600
 """Number of pixels against which the radiance of exported lights is balanced."""
 _SEED = 0x62616C
+HEIGHT, WIDTH = 64, 128
+"""Size of the sky image in pixels."""
 
 
 def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) -> FoundLights:
@@ -63,3 +67,40 @@ def radiance_samples(views: Sequence[TracedView], num: int = NUM_SAMPLES) -> Rad
         direction = view.camera.ray_directions()[row, column]
         rays.append((np.tile(view.camera.position_m, (count, 1)), direction, view.color[row, column]))
     return RadianceSamples(*(np.concatenate(part).astype(np.float32) for part in zip(*rays, strict=True)))
+
+
+def sky_image(background: Background) -> NDArray[np.float32]:
+    """Convert the radiance of a ``background`` to an image of a distant sky (HEIGHT, WIDTH, 3).
+
+    A pixel is the mean of its known bins; a pixel without known bins equals the nearest one with some.
+    """
+    of_direction = directions_of(background.layout.ways(), HEIGHT)
+    pixel = np.resize(of_direction, background.layout.size)[background.is_known]
+    radiance = background.radiance[background.is_known].astype(np.float64)
+    count = np.bincount(pixel, minlength=HEIGHT * WIDTH)
+    sums = [np.bincount(pixel, column, HEIGHT * WIDTH) for column in radiance.T]
+    image = (np.stack(sums, axis=1) / np.maximum(count, 1)[:, None]).astype(np.float32)
+    known = count > 0
+    if known.any():
+        every = direction_vectors(HEIGHT)
+        _, nearest = cKDTree(every[known]).query(every[~known])
+        image[~known] = image[known][nearest]
+    return image.reshape(HEIGHT, WIDTH, 3)
+
+
+def directions_of(direction: NDArray, height: int) -> NDArray[np.int64]:
+    """Compute the flat pixel index (N,) of directions (N, 3) in an image of 2 ``height`` x ``height`` pixels.
+
+    The top row is +Z, the centre column +Y, and +X is to its right.
+    """
+    row = np.clip(np.arccos(np.clip(direction[:, 2], -1, 1)) / np.pi * height, 0, height - 1).astype(np.int64)
+    turn = 0.5 + np.arctan2(direction[:, 0], direction[:, 1]) / (2 * np.pi)
+    column = np.clip(turn * 2 * height, 0, 2 * height - 1).astype(np.int64)
+    return row * 2 * height + column
+
+
+def direction_vectors(height: int) -> NDArray[np.float64]:
+    """Compute the unit directions (2 ``height``^2, 3) of the pixel centres of a sky image, row by row."""
+    row, column = np.divmod(np.arange(2 * height * height), 2 * height)
+    polar, turn = (row + 0.5) / height * np.pi, ((column + 0.5) / (2 * height) - 0.5) * 2 * np.pi
+    return np.stack([np.sin(polar) * np.sin(turn), np.sin(polar) * np.cos(turn), np.cos(polar)], axis=1)

@@ -1,18 +1,26 @@
 # SPDX-License-Identifier: MIT
-"""The stage of ``materials infer`` that recovers materials from light."""
+"""The stage of ``materials infer`` that recovers materials from light, and its pictures for the report."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 
+import numpy as np
+
+from datagen.foundation.color import cividis, srgb_from_linear
+from datagen.foundation.images import quantized_bytes
 from datagen.geometry.traced import smooth_regions
-from datagen.geometry.views import TracedCapture
+from datagen.geometry.views import TracedCapture, TracedView
+from model.reconstruction.light.confidence import SurfelConfidence
 from model.reconstruction.light.found import found_lights, radiance_samples
 from model.reconstruction.light.options import LightOptions, LightReport
-from model.reconstruction.light.pictures import view_pictures
 from model.reconstruction.light.stage import materials_from_light
-from model.reconstruction.light.surfel_confidence import SurfelConfidence
-from model.reconstruction.stages import Estimate, Found, Run
+from model.reconstruction.stages import Estimate, Found, Maps, Run, ViewPicture
+
+NUM_VIEWS, WIDTH_PX = 6, 320
+NO_SURFACE = 128
+"""Grey value of pixels without a surface."""
 
 
 def lit(traced: TracedCapture, estimate: Estimate, run: Run, options: LightOptions | None = None) -> Estimate:
@@ -50,3 +58,25 @@ def lit(traced: TracedCapture, estimate: Estimate, run: Run, options: LightOptio
         tuple(view_pictures(traced.views, materials.maps, run.report.exposure)),
     )
     return replace(estimate, maps=materials.maps, found=found)
+
+
+def view_pictures(views: Sequence[TracedView], maps: Sequence[Maps], exposure: float) -> list[ViewPicture]:
+    """Make pictures of up to :data:`NUM_VIEWS` evenly spaced views, at most :data:`WIDTH_PX` wide."""
+    chosen = np.unique(np.linspace(0, len(views) - 1, NUM_VIEWS).round().astype(int))
+    pictures = []
+    for index in chosen:
+        view, view_maps = views[index], maps[index]
+        step = max(1, -(-view.camera.width_px // WIDTH_PX))
+        thin = (slice(None, None, step), slice(None, None, step))
+        scale = np.array(cividis(), np.uint8)
+        confidence = scale[quantized_bytes(view_maps["confidence"][thin][..., 0].astype(np.float32))]
+        confidence[view.geometry.surface_mask[thin][..., 0] == 0] = NO_SURFACE
+        pictures.append(
+            ViewPicture(
+                view.name,
+                quantized_bytes(srgb_from_linear(view.color[thin] * exposure)),
+                quantized_bytes(srgb_from_linear(view_maps["diffuse_albedo"][thin].astype(np.float32))),
+                confidence,
+            )
+        )
+    return pictures

@@ -35,17 +35,27 @@ from model.reconstruction.light.confidence import (
     trust_in_hidden,
     trust_in_normals,
 )
-from model.reconstruction.light.metal_texture import textured_specular_albedo
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.outgoing import SPECULAR_RAYS, outgoing_radiance
-from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
-from model.reconstruction.light.segments import segment_surfels
+from model.reconstruction.light.points import (
+    Segmentation,
+    choose_points,
+    segment_surfels,
+    shade_points,
+    solve_points,
+)
 from model.reconstruction.light.shading_correction import network_scale, shading_correction
 from model.reconstruction.light.solve import MAX_ALBEDO, SolvedSegments, shared_roughness
 from model.reconstruction.light.sunlit_edges import without_sunlit_edges
 from model.reconstruction.light.unseen_lamps import UnseenLamps, unseen_lamps
-from model.reconstruction.light.view_maps import SolvedSurfels, packed_maps, view_materials
-from model.reconstruction.light.white import White, white_paint
+from model.reconstruction.light.view_maps import (
+    SolvedSurfels,
+    White,
+    packed_maps,
+    textured_specular_albedo,
+    view_materials,
+    white_paint,
+)
 
 _SEED = 99  # for the specular parts; differs from the solver's seeds
 

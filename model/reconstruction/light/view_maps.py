@@ -15,25 +15,95 @@ adds the detail of the photograph. A network's D above the maximum that the reco
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.buffers import MATERIAL_MAPS, split_channels
 from datagen.geometry.views import TracedView
+from datagen.light.bake import SpecularShading
 from datagen.light.lighting import MIN_SHADING
-from datagen.light.surfels import NUM_SIDES, Surfels, camera_row, cell_of, place_pixel, surfels_around
+from datagen.light.surfels import (
+    NUM_SIDES,
+    Surfels,
+    camera_row,
+    cell_of,
+    grouped_medians,
+    place_pixel,
+    surfels_around,
+)
 from datagen.multiview.compiled import compiled
-from model.reconstruction.light.metal_texture import BLURRED, SHARP
+from model.reconstruction.light.points import UNSEEN_WEIGHT
 from model.reconstruction.light.solve import MAX_ALBEDO
-from model.reconstruction.light.white import White
 
+SHARP, BLURRED = 0.2, 0.3
+"""Range of roughness over which S of a metal surfel changes from that of its segment to that of its own
+observations; the grid's cells do not resolve sharp reflections."""
+SEGMENT_VIEWS = 2.0
+"""Weight of the segment's S, as a number of observations of the surfel."""
+TYPICAL_WHITE = 0.85
+"""Albedo of white paint where none is known; in the development rooms it is 0.78 to 1."""
+MIN_WHITE, MAX_CHROMA = 0.7, 0.12
+"""Minimum mean albedo of white paint over channels, and maximum difference between its channels."""
+HALF_SUPPORT = 300.0
+"""Number of confident surfels of one white at which it has the same weight as :data:`TYPICAL_WHITE`."""
+_STEP, _BANDWIDTH, _REACH = 0.005, 0.015, 0.04  # of the histogram, its smoothing, and the support of its mode
 SIMILAR = 0.35
 """Difference in ln reflectance from the pixel at which a surfel's S and R are weighted by exp(-1/2)."""
 MAX_EXCESS = 1.5
 """Maximum of the network's D relative to its physical limit, the ratio of radiance to diffuse shading; the
 margin allows for errors of shading."""
 _DARK = 1e-12  # avoids 0 / 0 in the reflectance of a room without light
+
+
+def textured_specular_albedo(
+    surfels: Surfels,
+    specular_albedo: NDArray[np.float32],
+    roughness: NDArray[np.float32],
+    is_metal: NDArray[np.bool_],
+    shading: SpecularShading,
+) -> NDArray[np.float32]:
+    """Compute S (N, 3) of the surfels: of rough metals mainly the median of (radiance - ls1) / ls0 over
+    observations, of all others that of the segment.
+
+    ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,) are those of the surfels' segments;
+    ``shading`` is that of all M observations, divided by the known share of its light.
+    """
+    observations = surfels.observations
+    owner = surfels.surfel_of_observation()
+    rows = np.flatnonzero(is_metal[owner])
+    num = np.bincount(owner[rows], minlength=len(surfels))
+    ratio = (observations.radiance[rows] - shading.ls1[rows]) / np.maximum(shading.ls0[rows], 1e-9)
+    weight = observations.weight[rows] * (UNSEEN_WEIGHT + shading.photographed[rows])
+    medians = grouped_medians(ratio, weight, owner[rows], len(surfels))
+    blurred = np.clip((roughness - SHARP) / (BLURRED - SHARP), 0, 1)
+    share = (blurred * num / (num + SEGMENT_VIEWS))[:, None]
+    textured = share * np.clip(medians, 0, 1) + (1 - share) * specular_albedo
+    return np.where(is_metal[:, None], textured, specular_albedo).astype(np.float32)
+
+
+class White(NamedTuple):
+    """Diffuse ``albedo`` of white paint, and the weight ``known`` in [0, 1] of the surfels that show it."""
+
+    albedo: float = TYPICAL_WHITE
+    known: float = 0.0
+
+
+def white_paint(albedo: NDArray, confidence: NDArray) -> White:
+    """Compute the most frequent ``albedo`` (N, 3) of bright grey surfels, weighted by ``confidence`` (N,) and
+    shrunk to :data:`TYPICAL_WHITE`.
+    """
+    mean = np.minimum(albedo.mean(axis=1), MAX_ALBEDO)
+    is_white = (mean >= MIN_WHITE) & (np.ptp(albedo, axis=1) <= MAX_CHROMA)
+    edges = np.arange(MIN_WHITE, MAX_ALBEDO + 1.5 * _STEP, _STEP)
+    centres = 0.5 * (edges[1:] + edges[:-1])
+    num = np.histogram(mean[is_white], edges, weights=confidence[is_white])[0]
+    distance = np.abs(centres[:, None] - centres)
+    mode = int((np.exp(-0.5 * (distance / _BANDWIDTH) ** 2) @ num).argmax())
+    support = float(num[distance[mode] < _REACH].sum())
+    known = support / (support + HALF_SUPPORT)
+    return White(known * float(centres[mode]) + (1 - known) * TYPICAL_WHITE, known)
 
 
 @dataclass(frozen=True)

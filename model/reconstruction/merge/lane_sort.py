@@ -8,8 +8,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.multiview.compiled import compiled
+from datagen.multiview.statistics import sorting_network
 
 LANES = 64
 _HALF, _QUARTER = np.float32(0.5), np.float32(0.25)
@@ -17,31 +19,19 @@ STEP = 4
 """Lists are sorted by the network for their length rounded up to a multiple of this number."""
 
 
-@compiled
-def networks(most: int) -> tuple[Any, Any]:
+def networks(most: int) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Build Batcher's sorting networks for lists of k * STEP values, k = 0, 1, ..., up to at least ``most``.
 
     Returns the comparisons (C, 2), pairs of rows, of all networks, and the first comparison (K + 1,) of each.
     """
-    num_sizes = (most + STEP - 1) // STEP + 1
-    starts = np.zeros(num_sizes + 1, np.int64)
-    pairs = [(np.int32(0), np.int32(0))]
-    for size in range(num_sizes):
-        num, p = size * STEP, 1
-        while p < num:
-            k = p
-            while k >= 1:
-                for j in range(k % p, num - k, 2 * k):
-                    for i in range(j, min(j + k, num - k)):
-                        if i // (2 * p) == (i + k) // (2 * p):
-                            pairs.append((np.int32(i), np.int32(i + k)))
-                k //= 2
-            p *= 2
-        starts[size + 1] = len(pairs) - 1
-    table = np.empty((len(pairs) - 1, 2), np.int32)
-    for index in range(len(table)):
-        table[index, 0], table[index, 1] = pairs[index + 1]
-    return table, starts
+    powers = [1 << bits for bits in range((most + STEP).bit_length() + 1)]
+    full = {power: sorting_network(power) for power in powers}
+    tables = []
+    for size in range(0, most + STEP, STEP):
+        pairs = full[1 << max(size - 1, 0).bit_length()]
+        tables.append(pairs[pairs[:, 1] < size])  # without those beyond the end of the list
+    starts = np.cumsum([0, *map(len, tables)], dtype=np.int64)
+    return np.concatenate(tables).astype(np.int32), starts
 
 
 @compiled
