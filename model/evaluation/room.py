@@ -96,27 +96,10 @@ class TestScene(StrictModel):
 
 
 @dataclass(frozen=True)
-class PreparedScene:
-    """A rendered test scene.
-
-    ``capture`` is a shard for :func:`model.reconstruction.captures.read.read_capture`, with the true maps of
-    every view; ``library`` are its asset folders, ``package`` is the room with its true materials and lights.
-    ``input_names`` and ``novel_names`` divide the capture's views. ``asset_sha256``: see PlannedScene.
-    """
-
-    name: str
-    capture: Path
-    library: tuple[Path, ...]
-    package: Path
-    input_names: tuple[str, ...]
-    novel_names: tuple[str, ...]
-    asset_sha256: dict[str, str]
-
-
-@dataclass(frozen=True)
 class PlannedScene:
-    """A test scene with known assets and cameras, not yet rendered.
+    """A test scene with known assets and cameras.
 
+    ``library`` are its asset folders, ``package`` is the room with its true materials and lights.
     ``asset_sha256``: hashes of the packages, by id, and of their files, by ``<id>/<file>``, none of which may
     occur in a checkpoint's training data.
     """
@@ -127,6 +110,19 @@ class PlannedScene:
     library: tuple[Path, ...]
     package: Path
     asset_sha256: dict[str, str]
+
+
+@dataclass(frozen=True)
+class PreparedScene(PlannedScene):
+    """A rendered test scene.
+
+    ``capture`` is a shard for :func:`model.reconstruction.captures.read.read_capture`, with the true maps of
+    every view; ``input_names`` and ``novel_names`` divide the capture's views.
+    """
+
+    capture: Path
+    input_names: tuple[str, ...]
+    novel_names: tuple[str, ...]
 
 
 def plan_scene(scene: TestScene, cache: Path) -> PlannedScene:
@@ -167,25 +163,19 @@ def photograph(planned: PlannedScene, progress: Progress = lambda stage, done, t
     manifest = folder.read_manifest(unit)
     assert manifest is not None
     names = [camera.name for camera in folder.read_configuration(unit).cameras]
+    shard, num = folder.root / manifest.shard, planned.recipe.views
     return PreparedScene(
-        name=planned.recipe.name,
-        capture=folder.root / manifest.shard,
-        library=planned.library,
-        package=planned.package,
-        input_names=tuple(names[: planned.recipe.views]),
-        novel_names=tuple(names[planned.recipe.views :]),
-        asset_sha256=planned.asset_sha256,
+        **vars(planned), capture=shard, input_names=tuple(names[:num]), novel_names=tuple(names[num:])
     )
 
 
-def assert_not_trained_on(scene: PlannedScene | PreparedScene, card: CheckpointCard) -> None:
+def assert_not_trained_on(scene: PlannedScene, card: CheckpointCard) -> None:
     """Raise :class:`InputError` if a checkpoint was trained on a test scene, or lacks a record of its
     training data.
 
     A scene is identified by the hashes of its packages and of their files, since unrelated rooms may have the
     same id. Hashes of files also identify a room that was imported with other options.
     """
-    name = scene.name if isinstance(scene, PreparedScene) else scene.recipe.name
     problems = []
     ours = {sha: asset for asset, sha in scene.asset_sha256.items()}
     for record in card.data:
@@ -198,7 +188,7 @@ def assert_not_trained_on(scene: PlannedScene | PreparedScene, card: CheckpointC
                 got = f"trained on {asset_id} ({sha[:12]}), which is {ours[sha]} of this scene"
                 expected = "a checkpoint that was not trained on its test scenes"
                 remedy = "judge another checkpoint, or leave this scene out"
-                problems.append(Problem(f"scene {name}", record.name, got, expected, remedy))
+                problems.append(Problem(f"scene {scene.recipe.name}", record.name, got, expected, remedy))
     raise_problems(problems)
 
 

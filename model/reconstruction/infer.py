@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
-from datagen.formats.capture import Capture, CaptureGeometry, ColorImage
+from datagen.formats.capture import Capture, CaptureGeometry
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.geometry.traced import TracedGeometry, face_normals, seen_sides, smooth_regions
@@ -207,8 +207,7 @@ def _check(traced: TracedCapture, run: Run) -> None:
     """
     if not run.options.is_checked:
         for view in traced.views:
-            image = ColorImage(view.color, view.valid_mask, view.clipped_mask, view.limit)
-            run.report.warnings += view_warnings(view.name, image, view.geometry)
+            run.report.warnings += view_warnings(view)
         return
     with run.stage("check") as advance:
         found = check_traced(traced, run.out / "check", advance)

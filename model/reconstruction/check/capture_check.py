@@ -18,17 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.base import canonical_json, write_bytes_atomically
-from datagen.formats.capture import Capture, CaptureGeometry, ColorImage
+from datagen.formats.capture import Capture, CaptureGeometry
 from datagen.foundation.axes import affine
 from datagen.foundation.errors import input_error
 from datagen.foundation.progress import Advance, Progress, no_advance
 from datagen.geometry.traced import TracedGeometry, seen_sides
-from datagen.geometry.views import TracedCapture, TracedView
+from datagen.geometry.views import TracedCapture
 from datagen.multiview.compiled import num_threads
 from mitsuba_plugins.variant import select_variant
 from model.reconstruction.captures.frames import AXES, z_up_from
 from model.reconstruction.check.edges import match_edges, mesh_edges
 from model.reconstruction.check.judgement import judge
+from model.reconstruction.check.pictures import write_contact_sheets
 from model.reconstruction.check.views import CheckReport, Look, view_warnings
 
 __all__ = ["CheckReport", "Look", "check_capture", "check_looks", "check_traced", "view_warnings"]
@@ -49,22 +50,15 @@ def check_capture(capture: Capture, out: Path | None = None, progress: Progress 
     looks = []
     for number, view in enumerate(capture.views, start=1):
         image = view.read()
-        geometry = traced.trace_view(view.camera, image.valid_mask)
-        looks.append(Look(view.name, view.camera, image, geometry))
+        pixels = image.color, traced.trace_view(view.camera, image.valid_mask), image.valid_mask
+        looks.append(Look(view.camera, *pixels, view.name, image.clipped_mask, image.limit))
         tell("check", number, len(capture.views))
     return check_looks(capture, looks, out)
 
 
 def check_traced(traced: TracedCapture, out: Path, progress: Advance) -> CheckReport:
     """Check a capture that is already read and traced, as :func:`check_capture` does."""
-
-    def look(view: TracedView) -> Look:
-        image = ColorImage(view.color, view.valid_mask, view.clipped_mask, view.limit)
-        return Look(view.name, view.camera, image, view.geometry)
-
-    with ThreadPoolExecutor(num_threads()) as pool:
-        looks = list(pool.map(look, traced.views))
-    return check_looks(traced.capture, looks, out, progress)
+    return check_looks(traced.capture, [Look(**vars(view)) for view in traced.views], out, progress)
 
 
 def check_looks(
@@ -83,11 +77,9 @@ def check_looks(
     if report.fit * float(np.median([view.coverage for view in report.views])) < _MIN_FIT:
         _try_other_frames(report, capture, looks)
     if out is not None:
-        from model.reconstruction.check.pictures import write_contact_sheets
-
         out.mkdir(parents=True, exist_ok=True)
         edges = [look.edges for look in looks]
-        write_contact_sheets(out, report, [look.image.color for look in looks], edges)
+        write_contact_sheets(out, report, [look.color for look in looks], edges)
         write_bytes_atomically(out / "check.json", canonical_json(report.table()))
     return report
 
@@ -126,7 +118,7 @@ def _fit_of(capture: Capture, linear: NDArray[np.float64], looks: Sequence[Look]
     traced = TracedGeometry(CaptureGeometry(mesh, capture.geometry.parts))
     scores = []
     for look in looks:
-        geometry = traced.trace_view(look.camera, look.image.valid_mask)
+        geometry = traced.trace_view(look.camera, look.valid_mask)
         found = match_edges(mesh_edges(geometry, look.camera), look.field, look.radius_px)
         coverage = float((geometry.face >= 0).mean())
         scores.append(0.0 if found is None else found.at_zero * coverage)

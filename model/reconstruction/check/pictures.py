@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -14,9 +13,7 @@ from numpy.typing import NDArray
 from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.color import luminance, srgb_from_linear
 from datagen.foundation.images import encode_png
-
-if TYPE_CHECKING:
-    from model.reconstruction.check.views import CheckReport, ViewCheck
+from model.reconstruction.check.views import CheckReport, ViewCheck
 
 COLUMNS, ROWS = 4, 5
 _TILE_PX, _LABEL_PX, _GAP_PX = 400, 42, 6

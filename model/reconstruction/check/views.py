@@ -4,15 +4,14 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.capture import ColorImage
-from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance
-from datagen.geometry.traced import ViewGeometry
+from datagen.geometry.views import TracedView
 from model.reconstruction.captures.photographs import CLIPPED_LEVEL
 from model.reconstruction.check.edges import (
     EdgeMatch,
@@ -86,24 +85,24 @@ class CheckReport:
         return {"format": "scene-materials/check", **asdict(self)}
 
 
-def view_warnings(name: str, image: ColorImage, geometry: ViewGeometry) -> list[str]:
+def view_warnings(view: TracedView) -> list[str]:
     """Return warnings, with remedies, if a photograph hardly shows the mesh, is black or is mostly clipped.
 
     An image without a known limit counts as clipped where it is white and nothing is brighter.
     """
-    found = []
-    coverage = float((geometry.face >= 0).mean())
+    found, name = [], view.name
+    coverage = float((view.geometry.face >= 0).mean())
     if coverage == 0:
         found.append(f"{name}: shows nothing of the mesh; correct its pose or leave it out")
     elif coverage < MIN_COVERAGE:
         found.append(
             f"{name}: only {coverage:.1%} of its pixels show the mesh; leave it out if it shows another scene"
         )
-    brightness = luminance(image.color)
-    if image.clipped_mask is None:
+    brightness = luminance(view.color)
+    if view.clipped_mask is None:
         is_clipped = (brightness >= CLIPPED_LEVEL) & (brightness.max() <= 1.0)
     else:
-        is_clipped = image.clipped_mask.all(axis=2)
+        is_clipped = view.clipped_mask.all(axis=2)
     if not brightness.any():
         found.append(f"{name}: is black; leave it out")
     elif float(is_clipped.mean()) > MAX_CLIPPED:
@@ -111,20 +110,18 @@ def view_warnings(name: str, image: ColorImage, geometry: ViewGeometry) -> list[
     return found
 
 
-@dataclass
-class Look:
-    """A view that is read and traced, with the mask ``edges`` (H, W) of the mesh's edges and the photograph's
-    edges ``field`` (H, W, 2) as double angles.
-    """
+class Look(TracedView):
+    """A traced view with its edges, which are computed on first use."""
 
-    name: str
-    camera: Camera
-    image: ColorImage
-    geometry: ViewGeometry
+    @cached_property
+    def edges(self) -> NDArray[np.bool_]:
+        """Mask (H, W) of the mesh's edges."""
+        return mesh_edges(self.geometry, self.camera)
 
-    def __post_init__(self) -> None:
-        self.edges = mesh_edges(self.geometry, self.camera)
-        self.field = photograph_field(self.image.color, self.image.valid_mask)
+    @cached_property
+    def field(self) -> NDArray[np.float32]:
+        """The photograph's edges (H, W, 2) as double angles."""
+        return photograph_field(self.color, self.valid_mask)
 
     @property
     def radius_px(self) -> int:
@@ -142,7 +139,7 @@ class Look:
             coverage=float(hit.mean()),
             back_share=float(is_back.mean()) if hit.any() else 0.0,
             nearest_m=float(depth[hit].min()) if hit.any() else 0.0,
-            warnings=view_warnings(self.name, self.image, self.geometry),
+            warnings=view_warnings(self),
         )
         if hit.any() and float((depth[hit] < _NEAR_M).mean()) > _MAX_NEAR:
             found.warnings.append(

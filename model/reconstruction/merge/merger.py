@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import Problem, raise_problems
+from datagen.foundation.errors import Problem, Problems, raise_problems
 from datagen.geometry.views import TracedView
 from datagen.multiview.compiled import num_threads
 from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe, vectors_from_rows
@@ -74,26 +74,24 @@ class MapView:
 
     def problems(self) -> list[Problem]:
         """Return all faults in shape and values of the arrays."""
-        shape = (self.camera.height_px, self.camera.width_px)
-        found = []
+        size, found = (self.camera.height_px, self.camera.width_px), Problems(self.name)
         for name, channels in MAP_CHANNELS.items():
             array = self.maps.get(name)
-            if array is None or array.shape != (*shape, channels):
+            if array is None or array.shape != (*size, channels):
                 got = "missing" if array is None else f"shape {array.shape}"
-                found.append(Problem(self.name, name, got, f"{(*shape, channels)} like its camera"))
+                found.add(name, got, f"{(*size, channels)} like its camera")
             elif not np.isfinite(array).all():
-                found.append(Problem(self.name, name, "NaN or Inf", "finite values", "predict it again"))
-        if self.depth_z_m.shape not in (shape, (*shape, 1)):
-            got = f"shape {self.depth_z_m.shape}"
-            found.append(Problem(self.name, "depth_z_m", got, f"{(*shape, 1)} like its camera"))
-        elif not np.isfinite(self.depth_z_m).all():
-            found.append(Problem(self.name, "depth_z_m", "NaN or Inf", "finite depth, 0 for none"))
-        if self.resolution is not None and self.resolution.shape != shape:
-            got = f"shape {self.resolution.shape}"
-            found.append(Problem(self.name, "resolution", got, f"{shape} like its camera"))
-        if self.confidence is not None and self.confidence.shape != (*shape, 3):
-            got = f"shape {self.confidence.shape}"
-            found.append(Problem(self.name, "confidence", got, f"{(*shape, 3)} like its camera"))
+                found.add(name, "NaN or Inf", "finite values", "predict it again")
+        for name, *shapes in (
+            ("depth_z_m", (*size, 1), size),
+            ("resolution", size),
+            ("confidence", (*size, 3)),
+        ):
+            array = getattr(self, name)
+            if array is not None and array.shape not in shapes:
+                found.add(name, f"shape {array.shape}", f"{shapes[0]} like its camera")
+            elif name == "depth_z_m" and not np.isfinite(array).all():
+                found.add(name, "NaN or Inf", "finite depth, 0 for none")
         return found
 
 

@@ -8,8 +8,6 @@ pixels to 0.9, so a surface has the same brightness in every view.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
@@ -23,25 +21,9 @@ from datagen.multiview.statistics import StatisticsView
 from model.checkpoint import Checkpoint
 from model.confidence import FILTERED_MAPS, filter_maps
 from model.networks import encode_color
+from model.reconstruction.infer_options import InferOptions
 
-Precision = Literal["auto", "float32", "bfloat16"]
 _EXPOSURE_STEP = 5  # every fifth pixel suffices for a percentile
-
-
-@dataclass(frozen=True)
-class PredictOptions:
-    """Options of prediction.
-
-    ``precision``: "auto" is bfloat16 if the device supports it natively, else float32; ``batch``: number of
-    views per batch; ``is_filtered``: whether the bilateral solver runs if the checkpoint has confidence
-    networks; ``has_confidence``: whether the output of the confidence networks is also returned.
-    """
-
-    precision: Precision = "auto"
-    batch: int = 4
-    is_filtered: bool = True
-    device: str = "cpu"
-    has_confidence: bool = False
 
 
 def has_fast_bfloat16(device: str) -> bool:
@@ -90,11 +72,16 @@ def view_tensors(
 class Predictor:
     """A checkpoint that is prepared for a capture; ``exposure`` is the result of :func:`capture_exposure`.
 
+    ``has_confidence``: whether the output of the confidence networks is also returned, as weights of the merge.
+    The bilateral solver runs if ``options.is_filtered`` and the checkpoint has confidence networks. The precision
+    "auto" is bfloat16 if the device supports it natively, else float32.
+
     Raises :class:`InputError` if confidence is requested from a checkpoint without confidence networks.
     """
 
-    def __init__(self, checkpoint: Checkpoint, exposure: float, options: PredictOptions):
+    def __init__(self, checkpoint: Checkpoint, exposure: float, options: InferOptions):
         self.options, self.exposure = options, exposure
+        self.has_confidence = options.weights == "confidence"
         device = self.options.device
         wants_bfloat16 = self.options.precision == "bfloat16" or (
             self.options.precision == "auto" and has_fast_bfloat16(device)
@@ -102,7 +89,7 @@ class Predictor:
         self.dtype = torch.bfloat16 if wants_bfloat16 else torch.float32
         self._network = checkpoint.network.to(device).to(memory_format=torch.channels_last)  # type: ignore
         confidence = checkpoint.confidence
-        if self.options.has_confidence and confidence is None:
+        if self.has_confidence and confidence is None:
             expected = "a checkpoint with confidence networks"
             raise input_error("infer", "weights", "confidence", expected, "use other weights or train them")
         self._confidence = confidence.to(device) if confidence is not None else None
@@ -126,12 +113,12 @@ class Predictor:
         with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.dtype == torch.bfloat16):
             maps = self._network(tensors, exposure, depth_max)
         maps = {name: value.float().contiguous() for name, value in maps.items()}
-        if self._confidence is not None and (self.is_filtered or self.options.has_confidence):
+        if self._confidence is not None and (self.is_filtered or self.has_confidence):
             image = encode_color(tensors["beauty"], self.exposure)
             confidences = self._confidence(image, maps)
             if self.is_filtered:
                 maps = filter_maps(maps, confidences, self._solver)
-            if self.options.has_confidence:
+            if self.has_confidence:
                 of_specular, of_roughness = (confidences[name] for name in FILTERED_MAPS)
                 of_diffuse = torch.ones_like(of_specular)
                 maps["confidence"] = torch.cat([of_diffuse, of_specular, of_roughness], dim=1)

@@ -19,7 +19,7 @@ from datagen.multiview.statistics import StatisticsOptions, compute_statistics
 from datagen.multiview.visibility import VisibilityOptions
 from model.checkpoint import load_checkpoint
 from model.own_network import network_inputs
-from model.reconstruction.predict.predictor import PredictOptions, Predictor, capture_exposure, view_tensors
+from model.reconstruction.predict.predictor import Predictor, capture_exposure, view_tensors
 from model.reconstruction.stages import Maps, Run
 
 USUAL_PIXELS = 640 * 384
@@ -32,15 +32,12 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
     with report.stage("predict"):
         checkpoint = load_checkpoint(checkpoint_path, options.device)
         report.exposure = capture_exposure(views)
-        shared = options.precision, options.batch, options.is_filtered, options.device
-        predict_options = PredictOptions(*shared, has_confidence=options.weights == "confidence")
-        predictor = Predictor(checkpoint, report.exposure, predict_options)
+        predictor = Predictor(checkpoint, report.exposure, options)
     report.precision = str(predictor.dtype).removeprefix("torch.")
     report.is_filtered = predictor.is_filtered
     if options.is_filtered and not predictor.is_filtered:
         report.notes.append("the checkpoint has no confidence networks: maps are not filtered")
-    wants_confidence = predict_options.has_confidence
-    maps: list[Maps | None] = [_stored(run.out, view, wants_confidence) for view in capture.views]
+    maps: list[Maps | None] = [_stored(run.out, view, predictor.has_confidence) for view in capture.views]
     batches = _batches(capture, options.batch)
     pending = [batch for batch in batches if any(maps[index] is None for index in batch)]
     statistics = compute_statistics(
