@@ -72,9 +72,8 @@ def view_tensors(
 class Predictor:
     """A checkpoint that is prepared for a capture; ``exposure`` is the result of :func:`capture_exposure`.
 
-    ``has_confidence``: whether the output of the confidence networks is also returned, as weights of the merge.
-    The bilateral solver runs if ``options.is_filtered`` and the checkpoint has confidence networks. The precision
-    "auto" is bfloat16 if the device supports it natively, else float32.
+    ``has_confidence``: whether the output of the confidence networks is also returned, for weights of the
+    merge. The precision "auto" is bfloat16 if the device supports it natively, else float32.
 
     Raises :class:`InputError` if confidence is requested from a checkpoint without confidence networks.
     """
