@@ -34,8 +34,19 @@ from model.evaluation.lpips import Lpips
 from model.evaluation.map_measures import MapMeasures
 from model.evaluation.mesh_errors import geometry_for
 from model.evaluation.metrics import means
-from model.evaluation.opened_scene import INSERTED, OWN, OpenedScene, Tell, key_of, open_scene, told
-from model.evaluation.predictions import light_revision, link_files, mesh_revision, predictions_folder
+from model.evaluation.opened_scene import (
+    INSERTED,
+    OWN,
+    OpenedScene,
+    Tell,
+    key_of,
+    light_revision,
+    link_files,
+    mesh_revision,
+    open_scene,
+    predictions_folder,
+    told,
+)
 from model.evaluation.rendering import JudgedView
 from model.evaluation.rerendering import (
     figures_of,

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,16 +18,21 @@ from datagen.formats.configuration import PlacedAsset
 from datagen.formats.package import open_package
 from datagen.formats.recipe import RenderRecipe
 from datagen.formats.shard import ShardReader
+from datagen.foundation.buffers import LIGHT_BUFFERS
 from datagen.foundation.progress import Advance
+from datagen.foundation.versions import LIGHT_REVISION
 from datagen.rendering.capture_geometry import package_geometry
 from mitsuba_plugins.variant import select_variant
+from model.checkpoint import read_card
+from model.evaluation.camera_faults import CameraFaults
 from model.evaluation.metrics import common_exposure
 from model.evaluation.rendering import BUFFERS, JudgedView, Rendering, judged_view, render_scenery
 from model.evaluation.results import MethodResult, SceneResult
 from model.evaluation.room import PreparedScene, TestScene
 from model.evaluation.scenery import Scenery, added_lights, level_place
-from model.evaluation.suite import ModifiedLight, Suite
+from model.evaluation.suite import Method, ModifiedLight, NetworkMethod, Suite
 from model.evaluation.surface_kinds import SurfaceFinder, ViewSurfaces
+from model.own_network import network_inputs
 from model.reconstruction.captures.options import CaptureOptions
 from model.reconstruction.captures.read import read_capture
 
@@ -36,6 +43,10 @@ RECOVERED = "recovered"
 RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's seed, that of the photographs
 _REVISION = 2
 """Revision of atlases and renderings; cached ones of another revision are computed again."""
+_GEOMETRY = 2
+"""Revision of the geometry of captures, which predictions depend on."""
+_MENDED_MESH = 2
+"""Revision of the mending of meshes with errors, which precedes prediction."""
 
 
 @dataclass
@@ -207,3 +218,35 @@ def _choose_figures(suite: Suite, scene: OpenedScene) -> None:
         scene.figure_views["novel"] = scene.novel[len(scene.novel) // 2]
     if position is not None:
         scene.sceneries[INSERTED] = scene.sceneries[OWN].with_object(inserted, position)
+
+
+def predictions_folder(
+    scene: OpenedScene, method: NetworkMethod, camera: CameraFaults | None, weights: str
+) -> Path:
+    """Folder for predictions of the checkpoint with the hash ``weights``, named by a hash of their inputs."""
+    faults = [None if f is None else f.model_dump(mode="json") for f in (method.geometry, camera)]
+    names = scene.prepared.input_names
+    revisions = [_GEOMETRY, *light_revision(method), *mesh_revision(method, camera)]
+    return scene.root / f"predictions-{key_of(weights, method.is_filtered, names, faults, *revisions)}"
+
+
+def light_revision(method: NetworkMethod) -> list[int]:
+    """Return the revision of recorded light in a list if the method's network uses it as input, else []."""
+    inputs = network_inputs(read_card(Path(method.checkpoint)).network)
+    return [LIGHT_REVISION] if set(LIGHT_BUFFERS) & set(inputs) else []
+
+
+def mesh_revision(method: Method, camera: CameraFaults | None) -> list[int]:
+    """Return the revision of mended meshes in a list if the mesh of a method has errors, else []."""
+    errors = (method.geometry, camera.geometry if camera else None)
+    return [_MENDED_MESH] if any(error is not None for error in errors) else []
+
+
+def link_files(source: Path, target: Path) -> None:
+    """Hard-link the files of the folder ``source``, if it exists, into ``target``; keep existing files."""
+    if not source.is_dir():
+        return
+    target.mkdir(parents=True, exist_ok=True)
+    for path in sorted(source.iterdir()):
+        with suppress(FileExistsError):
+            os.link(path, target / path.name)

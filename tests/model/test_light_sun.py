@@ -20,7 +20,7 @@ from model.reconstruction.export.gltf import write_glb
 from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
 from model.reconstruction.found_lights import FoundLights, FoundSun, lights_text
 from model.reconstruction.light.found import HEIGHT, found_lights
-from model.reconstruction.light.sunlit_edges import without_sunlit_edges
+from model.reconstruction.light.view_maps import without_sunlit_edges
 from tests.model.light_room import SUN_DIRECTION, SUN_IRRADIANCE, quads, room_geometry
 from tests.model.test_found_lights import glb_document
 from tests.model.test_light_room import median_albedo, of_quad, room, sunlit, wall_error

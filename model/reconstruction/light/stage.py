@@ -46,7 +46,6 @@ from model.reconstruction.light.points import (
 )
 from model.reconstruction.light.shading_correction import network_scale, shading_correction
 from model.reconstruction.light.solve import MAX_ALBEDO, SolvedSegments, shared_roughness
-from model.reconstruction.light.sunlit_edges import without_sunlit_edges
 from model.reconstruction.light.unseen_lamps import UnseenLamps, unseen_lamps
 from model.reconstruction.light.view_maps import (
     SolvedSurfels,
@@ -55,6 +54,7 @@ from model.reconstruction.light.view_maps import (
     textured_specular_albedo,
     view_materials,
     white_paint,
+    without_sunlit_edges,
 )
 
 _SEED = 99  # for the specular parts; differs from the solver's seeds
