@@ -18,7 +18,7 @@ from datagen.light.cells import surfel_cells
 from datagen.light.emitters import Emitters
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import CellGrid, Observations, Surfels
-from model.reconstruction.light.outgoing import MIN_DIFFUSE, ROUGH, outgoing_radiance
+from model.reconstruction.light.points import MIN_DIFFUSE, ROUGH, outgoing_radiance
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 NUM = 300

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
+from model.reconstruction.check.edges import EdgeMatch
 from model.reconstruction.check.views import SEARCH_RAD, SURE, CheckReport, Look, ViewCheck
 
 # minimum reported offset and error of scale, and their minimum in standard deviations
@@ -30,16 +31,6 @@ _MIN_ROLL_RAD, _MIN_ZOOM = np.radians(0.5), 0.015
 _MAX_LISTED = 6  # views in a warning
 _MIN_VIEWS = 4  # minimum number for a common error
 _MAX_SPREAD = 0.3  # maximum relative spread of common magnifications
-
-
-@dataclass(frozen=True)
-class SeenShift:
-    """A view's camera, mean edge depth, and ``peak_px`` and ``blur_px2`` of its ``EdgeMatch``."""
-
-    camera: Camera
-    depth_m: float
-    shift_px: tuple[float, float]
-    blur_px2: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -62,26 +53,27 @@ class Registration:
         return offset + (self.scale - 1) * (position_m - self.center_m)
 
 
-def common_mistake(views: Sequence[SeenShift]) -> Registration | None:
+def common_mistake(views: Sequence[tuple[Camera, float, EdgeMatch]]) -> Registration | None:
     """Estimate the offset and scale of the mesh that best explain all shifts; None if insignificant.
+
+    A view is its camera, its mean edge depth in metres, and the match of its edges.
 
     Least squares are robust to single wrong views. Scale is estimated from eight views or more.
     """
     if len(views) < _MIN_VIEWS:
         return None
-    centers = np.array([view.camera.position_m for view in views])
+    centers = np.array([camera.position_m for camera, _, _ in views])
     middle = centers.mean(axis=0)
     rows, whiten = [], []
-    for view in views:
-        camera = view.camera
+    for camera, depth_m, edges in views:
         across = camera.world_from_camera[:3, :3].T[:2]
-        factor = np.array([[camera.fx_px], [camera.fy_px]]) / max(view.depth_m, 1e-3)
+        factor = np.array([[camera.fx_px], [camera.fy_px]]) / max(depth_m, 1e-3)
         by_scale = (across @ (camera.position_m - middle))[:, None]
         rows.append(-factor * np.hstack([across, by_scale]))
-        xx, xy, yy = view.blur_px2
+        xx, xy, yy = edges.blur_px2
         values, vectors = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]) + _FLOOR_PX2 * np.eye(2))
         whiten.append(vectors @ np.diag(values**-0.5) @ vectors.T)
-    a, b = np.array(rows), np.array([view.shift_px for view in views])
+    a, b = np.array(rows), np.array([edges.peak_px for _, _, edges in views])
     white = np.array(whiten)
     if len(views) >= _MIN_VIEWS_FOR_SCALE:
         found, covariance = _robust(white @ a, (white @ b[..., None])[..., 0])
@@ -152,11 +144,7 @@ def judge(report: CheckReport, looks: Sequence[Look]) -> None:
         return  # a wrong scale shifts the edges in all views, so shifts do not indicate other errors
     pairs = [(view, look) for view, look in zip(report.views, looks, strict=True) if view.is_judged]
     mistake = common_mistake(
-        [
-            SeenShift(look.camera, view.depth_m, view.edges.peak_px, view.edges.blur_px2)
-            for view, look in pairs
-            if view.edges is not None
-        ]
+        [(look.camera, view.depth_m, view.edges) for view, look in pairs if view.edges is not None]
     )
     report.offset_m = None if mistake is None else mistake.offset_m
     report.scale = 1.0 if mistake is None else mistake.scale

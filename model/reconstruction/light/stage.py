@@ -3,7 +3,7 @@
 
 Surfels and their radiance field are gathered (``lighting``) and divided into segments, whose S and R are
 solved (``points``, ``solve``). A second round computes the light with less noise, reflections at metals and
-the mean outgoing radiance of dielectrics (``outgoing``), and solves again if there is metal. Then the
+the mean outgoing radiance of dielectrics, and solves again if there is metal. Then the
 specular part of every observation is computed, shading by unphotographed light is corrected
 (``shading_correction``), and maps (``view_maps``) are computed and blended with the network's by
 ``confidence``. See docs/light.md.
@@ -36,10 +36,11 @@ from model.reconstruction.light.confidence import (
     trust_in_normals,
 )
 from model.reconstruction.light.options import LightOptions, LightReport
-from model.reconstruction.light.outgoing import SPECULAR_RAYS, outgoing_radiance
 from model.reconstruction.light.points import (
+    SPECULAR_RAYS,
     Segmentation,
     choose_points,
+    outgoing_radiance,
     segment_surfels,
     shade_points,
     solve_points,

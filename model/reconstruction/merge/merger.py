@@ -7,6 +7,11 @@ counts, the mean of the middle two) or, with weights, the mean of the middle hal
 Values are gathered, not scattered, so an atlas may have more texels than the views have pixels. Threads
 process tiles; a large atlas is on disk, so memory contains only the views' maps and a few tiles. The loop is
 in ``medians``.
+
+At a border, of the image or of a silhouette, the set of merged views changes, which would cause visible steps
+in the merged maps. A pixel's weight therefore decreases to almost 0 towards the nearest border. Distant and
+grazing views blur texture. Where maps are exact, pixels are therefore weighted by the square of their
+resolution on the surface; where they are predictions, whose errors differ between views, equally.
 """
 
 from __future__ import annotations
@@ -46,7 +51,6 @@ if TYPE_CHECKING:
 
 from datagen.geometry.traced import ViewGeometry
 
-DEFAULT_TILE = 512
 RAMP = 0.1
 """Distance over which the weight decreases, relative to the image diagonal."""
 MIN_BORDER_WEIGHT = 1e-3
@@ -120,7 +124,7 @@ class MergeOptions:
     """
 
     visibility: VisibilityOptions = field(default_factory=VisibilityOptions)
-    tile: int = DEFAULT_TILE
+    tile: int = 512
     weights: Weights = "none"
 
     def rules(self) -> Rules:

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from datagen.formats.base import sha256_file
 from datagen.formats.capture import CaptureView
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import input_error
@@ -29,7 +29,7 @@ class CheckpointMaps:
     def identity(self) -> str:
         """SHA-256 of the checkpoint file. Raises :class:`InputError` if it cannot be read."""
         try:
-            return hashlib.sha256(self.path.read_bytes()).hexdigest()
+            return sha256_file(self.path)
         except OSError as error:
             expected = "a checkpoint (.safetensors)"
             raise input_error(self.path, "", str(error), expected, "check the path") from None
