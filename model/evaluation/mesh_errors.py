@@ -32,6 +32,7 @@ from model.reconstruction.unwrap.uv import unwrapped
 _MIN_FACES = 4  # parts with fewer triangles are not reduced
 _MAX_HOLES = 10_000
 _REVISION = 2
+_ARRAYS = ("positions", "faces", "normals", "uv")  # of meshes, in the order of their fields
 
 
 class GeometryError(StrictModel):
@@ -168,37 +169,25 @@ def geometry_for(
 def _key(geometry: CaptureGeometry, error: GeometryError | None) -> str:
     described = None if error is None else error.model_dump(mode="json")
     parts = [[p.name, p.first_face, p.num_faces, p.emission] for p in geometry.parts]
-    mesh = geometry.mesh
-    arrays = [mesh.positions, mesh.faces, mesh.normals, mesh.uv]
+    arrays = (getattr(geometry.mesh, name) for name in _ARRAYS)
     hashes = [None if a is None else sha256_hex(np.ascontiguousarray(a).tobytes()) for a in arrays]
     return sha256_hex(canonical_json([_REVISION, described, parts, hashes]))[:16]
 
 
 def _write(path: Path, geometry: CaptureGeometry, seconds: float) -> None:
     mesh = geometry.mesh
-    assert mesh.normals is not None and mesh.uv is not None
     parts = json.dumps([[p.name, p.first_face, p.num_faces, p.emission] for p in geometry.parts])
     stream = io.BytesIO()
-    np.savez(
-        stream,
-        positions=mesh.positions,
-        faces=mesh.faces,
-        normals=mesh.normals,
-        uv=mesh.uv,
-        parts=np.array(parts),
-        seconds=np.array(seconds),
-    )
+    arrays = {name: getattr(mesh, name) for name in _ARRAYS}
+    np.savez(stream, **arrays, parts=np.array(parts), seconds=np.array(seconds))
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes_atomically(path, stream.getvalue())
 
 
 def _read(path: Path) -> tuple[CaptureGeometry, float]:
     with np.load(path) as data:
-        mesh = Mesh(data["positions"], data["faces"], data["normals"], data["uv"])
+        mesh = Mesh(*(data[name] for name in _ARRAYS))
         rows = json.loads(str(data["parts"]))
         seconds = float(data["seconds"])
-    parts = tuple(
-        GeometryPart(name, first, num, None if emission is None else tuple(emission))
-        for name, first, num, emission in rows
-    )
+    parts = tuple(GeometryPart(*row, emission and tuple(emission)) for *row, emission in rows)
     return CaptureGeometry(mesh, parts), seconds
