@@ -189,5 +189,5 @@ def _read(path: Path) -> tuple[CaptureGeometry, float]:
         mesh = Mesh(*(data[name] for name in _ARRAYS))
         rows = json.loads(str(data["parts"]))
         seconds = float(data["seconds"])
-    parts = tuple(GeometryPart(*row, emission=emission and tuple(emission)) for *row, emission in rows)
+    parts = tuple(GeometryPart(name, first, num, e and tuple(e)) for name, first, num, e in rows)
     return CaptureGeometry(mesh, parts), seconds
