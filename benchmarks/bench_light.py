@@ -32,15 +32,15 @@ from model.evaluation.camera_faults import PRESETS, as_taken
 from model.evaluation.mesh_errors import with_errors
 from model.evaluation.room import prepare_scene
 from model.evaluation.suite import read_suite
+from model.reconstruction.albedo_level import leveled
 from model.reconstruction.captures.options import CaptureOptions
 from model.reconstruction.captures.read import read_capture
 from model.reconstruction.infer_options import InferOptions, InferReport
-from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.mesh.stage import mended_mesh
 from model.reconstruction.predict.sources import CheckpointMaps
-from model.reconstruction.radiometry.stage import completed
+from model.reconstruction.radiometry.completed import completed
 from model.reconstruction.stages import Estimate, Maps, Run
 
 ABLATIONS = {

@@ -75,8 +75,8 @@ MATRIX = {
         "model.reconstruction.infer_options model.reconstruction.found_lights",
         "model.reconstruction.predict": f"{_GROUND} {_TRACED} datagen.light {_NETWORKS} model.checkpoint "
         "model.devices model.reconstruction.infer_options model.reconstruction.stages",
-        "model.reconstruction.level": "datagen.foundation datagen.geometry datagen.light "
-        "model.reconstruction.stages",
+        "model.reconstruction.albedo_level": "datagen.foundation datagen.geometry datagen.light "
+        "model.reconstruction.radiometry model.reconstruction.stages",
         "model.reconstruction.light": f"{_GROUND} {_TRACED} datagen.light model.reconstruction.found_lights "
         "model.reconstruction.stages model.reconstruction.radiometry",
         "model.reconstruction.radiometry": "datagen.foundation datagen.geometry datagen.light "
@@ -94,7 +94,7 @@ MATRIX = {
         "model.reconstruction.infer_options": "datagen.foundation model.reconstruction.merge "
         "model.reconstruction.found_lights",
         "model.reconstruction.infer": f"{_GROUND} datagen.multiview mitsuba_plugins {_ATLAS} "
-        "model.reconstruction.check model.reconstruction.level model.reconstruction.light "
+        "model.reconstruction.check model.reconstruction.albedo_level model.reconstruction.light "
         "model.reconstruction.radiometry model.reconstruction.unwrap model.reconstruction.merge "
         "model.reconstruction.export model.reconstruction.infer_options model.reconstruction.poses "
         "model.reconstruction.mesh model.reconstruction.report_page model.reconstruction.stages",

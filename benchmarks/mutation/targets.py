@@ -56,9 +56,7 @@ TARGETS = {
         ),
         20,
     ),
-    "albedo level": Target(
-        ("model/reconstruction/level/albedo_level.py",), ("tests/model/test_albedo_gains.py",)
-    ),
+    "albedo level": Target(("model/reconstruction/albedo_level.py",), ("tests/model/test_albedo_gains.py",)),
     "mesh mending": Target(
         ("model/reconstruction/mesh/holes.py", "model/reconstruction/mesh/smoothing.py"),
         ("tests/model/test_mesh_holes.py", "tests/model/test_mesh_smoothing.py"),

@@ -35,6 +35,7 @@ from datagen.geometry.traced import TracedGeometry, face_normals, seen_sides, sm
 from datagen.geometry.views import TracedCapture, trace_capture, visible_faces
 from datagen.multiview.visibility import VisibilityOptions
 from mitsuba_plugins.variant import select_variant
+from model.reconstruction.albedo_level import leveled
 from model.reconstruction.atlas.atlas import Atlas, empty_atlas
 from model.reconstruction.atlas.confidence import put_confidence
 from model.reconstruction.atlas.texels import TexelSurface
@@ -47,13 +48,12 @@ from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
 from model.reconstruction.export.slots import Reconstruction
 from model.reconstruction.export.usd import require_usd, write_usdz
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
-from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
 from model.reconstruction.merge.fill import fill_unseen
 from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions, map_views
 from model.reconstruction.mesh.stage import mended_mesh
-from model.reconstruction.poses.stage import mended
-from model.reconstruction.radiometry.stage import completed
+from model.reconstruction.poses import mended
+from model.reconstruction.radiometry.completed import completed
 from model.reconstruction.report_page import report_html
 from model.reconstruction.stages import Estimate, Found, MapSource, MapStage, Run
 from model.reconstruction.unwrap.repacked import repacked

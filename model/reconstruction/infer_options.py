@@ -115,7 +115,7 @@ class InferReport:
     ``seconds``: time by stage; ``memory_mb``: peak resident memory up to the end of each stage. Empty unless
     requested: ``mesh``, its noise and holes; ``radiometry``, the findings of
     :mod:`~model.reconstruction.radiometry`; ``poses``, the corrections of poses; ``albedo_level``, a
-    :class:`~model.reconstruction.level.albedo_level.LevelReport` as a dictionary; ``light``, a
+    :class:`~model.reconstruction.albedo_level.LevelReport` as a dictionary; ``light``, a
     :class:`~model.reconstruction.light.options.LightReport` with the recovered lights, as a dictionary.
     """
 

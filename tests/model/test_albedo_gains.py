@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from model.reconstruction.level import albedo_level
-from model.reconstruction.level.albedo_level import (
+from model.reconstruction import albedo_level
+from model.reconstruction.albedo_level import (
     IMPOSSIBLE,
     MIN_POINTS,
     AlbedoLevel,

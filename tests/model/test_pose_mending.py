@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from datagen.foundation.cameras import Camera
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
-from model.reconstruction.poses.mending import mended_poses
+from model.reconstruction.poses import mended_poses
 from oracles.textured_room import geometry_of, room_mesh
 from tests.model.photographed_room import photographed_room
 

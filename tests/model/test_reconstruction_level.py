@@ -19,8 +19,8 @@ from datagen.geometry.traced import TracedGeometry, smooth_regions
 from datagen.geometry.views import TracedView, trace_capture
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.networks import MaterialNetwork, NetworkConfig
+from model.reconstruction.albedo_level import AlbedoLevel, clipped_share, find_level
 from model.reconstruction.infer import InferOptions, infer
-from model.reconstruction.level.albedo_level import AlbedoLevel, clipped_share, find_level
 from model.reconstruction.predict.sources import CheckpointMaps
 from tests.model.lit_box import ALBEDOS, box_capture, box_geometry, photographed_box
 

@@ -15,8 +15,8 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.images import read_image
 from datagen.geometry.views import TracedCapture
 from model.reconstruction import infer as infer_module
+from model.reconstruction.albedo_level import leveled
 from model.reconstruction.infer import InferOptions, infer, map_stages
-from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
 from model.reconstruction.predict.sources import TRUTH, CheckpointMaps, GivenMaps
 from model.reconstruction.stages import Estimate, Maps, Run

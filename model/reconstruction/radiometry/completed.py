@@ -8,14 +8,15 @@ from its illumination of other surfaces (``recovered``).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.geometry.traced import TracedGeometry
-from datagen.geometry.views import TracedView
+from datagen.geometry.traced import TracedGeometry, smooth_regions
+from datagen.geometry.views import TracedCapture, TracedView
 from datagen.light.background import NEAR, photographed_background
 from datagen.light.emitters import photographed_emitters
 from datagen.light.surfels import Surfels, build_surfels
@@ -23,6 +24,7 @@ from datagen.light.unseen_surfaces import Regions
 from model.reconstruction.radiometry.exposures import Radiometry, find_radiometry
 from model.reconstruction.radiometry.recovered import Gatherer, SourceField, doubt_of, recovered
 from model.reconstruction.radiometry.sources import Sources, find_sources, source_of_pixels
+from model.reconstruction.stages import DoubtAt, Run
 
 SOURCE_ROUNDS = 3
 """Number of estimates of the sources, each with unphotographed surfaces illuminated as by the last."""
@@ -43,7 +45,7 @@ class Completed:
     spread: NDArray[np.float64]
     clipped_share: float
     sources: Sources | None = None
-    doubt_at: Callable[[NDArray, NDArray], NDArray[np.float32]] | None = None
+    doubt_at: DoubtAt | None = None
 
 
 def completed_views(
@@ -65,10 +67,8 @@ def completed_views(
     if radiometry.changes:
         found = [radiometry.undone(view, index) for index, view in enumerate(views)]
         surfels = build_surfels(found)
-    masks = [view.clipped_mask for view in views if view.clipped_mask is not None]
-    num_clipped = sum(int(mask.any(axis=2).sum()) for mask in masks)
-    share = num_clipped / max(sum(view.valid_mask.size for view in views), 1)
-    if not num_clipped:
+    share = clipped_share(views)
+    if not share:
         return Completed(found, radiometry, np.zeros((0, 3)), np.zeros(0), share)
     grid = surfels.grid
     emitters = photographed_emitters(found, traced, emits, region_of_face)
@@ -90,6 +90,13 @@ def completed_views(
     return Completed(found, radiometry, radiance, spread, share, sources, doubt_at)
 
 
+def clipped_share(views: Sequence[TracedView]) -> float:
+    """Compute the share of the pixels of all photographs in which a channel is clipped."""
+    masks = [view.clipped_mask for view in views if view.clipped_mask is not None]
+    num_pixels = max(sum(view.valid_mask.size for view in views), 1)
+    return sum(int(mask.any(axis=2).sum()) for mask in masks) / num_pixels
+
+
 def _filled(
     view: TracedView, source: NDArray, radiance: NDArray, surfels: Surfels, surfel: NDArray
 ) -> TracedView:
@@ -104,3 +111,74 @@ def _filled(
     estimate[of_source] = radiance[source[pixel][of_source]]
     color[pixel] = np.where(clipped[pixel], np.maximum(color[pixel], estimate), color[pixel])
     return replace(view, color=color.reshape(view.color.shape).astype(np.float32))
+
+
+def completed(traced: TracedCapture, run: Run) -> tuple[TracedCapture, DoubtAt | None]:
+    """Stage that scales the capture's views to one exposure and completes clipped pixels; also return the
+    uncertainty of light.
+
+    It is unchanged if an image has no clipping limit, as in renderings.
+    """
+    if any(view.limit is None for view in traced.views):
+        return traced, None
+    with run.stage("radiometry"):
+        try:
+            found = completed_views(
+                traced.views,
+                traced.geometry,
+                traced.capture.geometry.emitter_mask(),
+                smooth_regions(traced.geometry.mesh),
+                is_evened=run.options.is_evened,
+            )
+        except ValueError as error:
+            run.report.notes.append(f"exposures and clipped pixels are unchanged: {error}")
+            return traced, None
+    run.report.radiometry = described(found)
+    run.report.notes += notes_of(found)
+    return replace(traced, views=tuple(found.views)), found.doubt_at
+
+
+def described(found: Completed) -> dict[str, Any]:
+    """Return exposures, vignetting, response and recovered sources as data for the report."""
+    stops = np.log2(found.radiometry.gain)
+    return {
+        "exposure_stops": [round(float(value), 3) for value in stops.mean(axis=1)],
+        "balance_stops": round(float(np.sqrt((stops - stops.mean(axis=1, keepdims=True)).var())), 3),
+        "vignetting_stops": round(found.radiometry.vignetting / float(np.log(2)), 3),
+        "curve": round(found.radiometry.curve, 4),
+        "clipped_share": round(found.clipped_share, 5),
+        "sources": [
+            {
+                "radiance": [float(v) for v in radiance],
+                "bound": [float(v) for v in bound],
+                "spread": float(spread),
+            }
+            for radiance, bound, spread in zip(
+                found.radiance, found.sources.bound if found.sources else (), found.spread, strict=True
+            )
+        ],
+    }
+
+
+def notes_of(found: Completed) -> list[str]:
+    """Return messages for the user about equalised exposures and clipped pixels."""
+    notes = []
+    stops = np.log2(found.radiometry.gain).mean(axis=1)
+    if found.radiometry.changes:
+        low, high = float(stops.min()), float(stops.max())
+        text = f"exposures that differ by {low:+.2f} to {high:+.2f} stops were equalised"
+        if found.radiometry.vignetting:
+            text += f", corners brightened by {found.radiometry.vignetting / np.log(2):.2f} stops"
+        if found.radiometry.curve:
+            text += ", and the response's deviation from sRGB was corrected"
+        notes.append(text)
+    if found.clipped_share > 0.001:
+        text = f"{found.clipped_share:.1%} of the pixels are at the sensor's limit"
+        unsure = int((found.spread > 0.5).sum())
+        if len(found.radiance):
+            text += f"; the radiance of {len(found.radiance)} lamps, sunlit patches and parts of the sky "
+            text += "is estimated from illuminated surfaces"
+        if unsure:
+            text += f"; {unsure} of them are uncertain: photograph lamps and more sky with a shorter exposure"
+        notes.append(text)
+    return notes

@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation
 from datagen.foundation.axes import affine
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance
-from datagen.geometry.views import TracedView
+from datagen.geometry.views import TracedCapture, TracedView
+from model.reconstruction.stages import Run
 
 ROUNDS = 6
 MAX_POINTS, MAX_OTHERS, MIN_OTHERS, MIN_POINTS = 4000, 8, 2, 100
@@ -214,3 +215,28 @@ def _step(
     hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
     step = np.linalg.solve(hessian, -jacobian.T @ (weight * rest) - prior * moved)
     return _STEP * step, float(np.median(np.abs(rest)))
+
+
+def mended(traced: TracedCapture, run: Run) -> TracedCapture:
+    """Correct the capture's poses and trace it again; it is unchanged if agreement would not improve."""
+    with run.stage("poses"):
+        found = mended_poses(traced.views)
+        before, after = found.residual
+        run.report.poses = {
+            "moved_mm": [round(float(value), 2) for value in found.moved_mm],
+            "turned_deg": [round(float(value), 3) for value in found.turned_deg],
+            "residual": [round(before, 5), round(after, 5)],
+        }
+        if not found.is_moved:
+            run.report.notes.append("poses are unchanged: no correction makes the views agree better")
+            return traced
+        moved_mm, turned_deg = np.median(found.moved_mm), np.median(found.turned_deg)
+        run.report.notes.append(
+            f"poses are corrected by {moved_mm:.1f} mm and {turned_deg:.2f} degrees (medians), which reduces "
+            f"the difference between views from {100 * before:.1f} % to {100 * after:.1f} %"
+        )
+        views = tuple(
+            replace(view, camera=camera, geometry=traced.geometry.trace_view(camera, view.valid_mask))
+            for view, camera in zip(traced.views, found.cameras, strict=True)
+        )
+        return replace(traced, views=views)

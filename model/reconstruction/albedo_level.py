@@ -15,22 +15,24 @@ region remains as predicted. Measurements: docs/measurements.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
-from datagen.geometry.traced import TracedGeometry
-from datagen.geometry.views import TracedView
+from datagen.geometry.traced import TracedGeometry, smooth_regions
+from datagen.geometry.views import TracedCapture, TracedView
 from datagen.light.background import Background, photographed_background
 from datagen.light.bake import Baker, Irradiance
 from datagen.light.cells import surfel_cells
 from datagen.light.emitters import photographed_emitters
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import CELLS_ACROSS, Surfels, build_surfels, surfel_means
+from model.reconstruction.radiometry.completed import clipped_share
+from model.reconstruction.stages import DoubtAt, Estimate, Run
 
 Floats = NDArray[np.float64]
 
@@ -104,8 +106,7 @@ def find_level(
     traced: TracedGeometry,
     emits: NDArray[np.bool_],
     region_of_face: NDArray[np.int32],
-    clipped_share: float = 0.0,
-    doubt_at: Callable[[NDArray, NDArray], NDArray] | None = None,
+    doubt_at: DoubtAt | None = None,
 ) -> AlbedoLevel:
     """Estimate the albedo scale of the views' ``maps``; gains are 1 if the evidence is insufficient.
 
@@ -113,11 +114,11 @@ def find_level(
     region; ``doubt_at`` returns the uncertain luminance (N,) of diffuse shading at positions and normals
     (N, 3).
     """
-    num_regions = int(region_of_face.max(initial=-1)) + 1
+    num_regions, clipped = int(region_of_face.max(initial=-1)) + 1, clipped_share(views)
     try:
         surfels = build_surfels(views)
     except ValueError as error:
-        return _unchanged(num_regions, str(error), clipped_share=clipped_share)
+        return _unchanged(num_regions, str(error), clipped_share=clipped)
     grid = surfels.grid
     emitters = photographed_emitters(views, traced, emits, region_of_face)
     background = photographed_background(views, grid.low, grid.high)
@@ -147,7 +148,7 @@ def find_level(
             np.pi * doubt_at(position, normal) / np.maximum(points.irradiance @ LUMINANCE_WEIGHTS, 1e-300)
         )
         sure = np.clip((NO_DOUBT - unsure) / (NO_DOUBT - LITTLE_DOUBT), 0, 1)
-    return fit_level(points, lit.photographed.astype(np.float64), num_regions, clipped_share, sure)
+    return fit_level(points, lit.photographed.astype(np.float64), num_regions, clipped, sure)
 
 
 def fit_level(
@@ -204,14 +205,6 @@ def fit_level(
     return AlbedoLevel(gains, LevelReport(bool((gains != 1).any()), reason, gain=gain, trust=trust, **found))
 
 
-def clipped_share(views: Sequence[TracedView]) -> float:
-    """Compute the share of the pixels of all photographs in which a channel is clipped."""
-    masks = [view.clipped_mask for view in views if view.clipped_mask is not None]
-    return sum(int(mask.any(axis=2).sum()) for mask in masks) / max(
-        sum(view.valid_mask.size for view in views), 1
-    )
-
-
 def _unchanged(num_regions: int, reason: str, **found: Any) -> AlbedoLevel:
     return AlbedoLevel(np.ones((num_regions, 3)), LevelReport(False, reason, **found))
 
@@ -262,3 +255,24 @@ def interquartile_range(values: Floats, weight: Floats) -> float:
     """Compute the weighted interquartile range of ``values`` (N,)."""
     low, high = weighted_quantiles(values, weight, (0.25, 0.75))
     return float(high - low)
+
+
+def leveled(traced: TracedCapture, estimate: Estimate, run: Run) -> Estimate:
+    """Correct the albedo scale of the maps, unless evidence is weak; files on disk keep the prediction."""
+    with run.stage("level"):
+        views, geometry = traced.views, traced.geometry
+        is_lamp, region_of_face = traced.capture.geometry.emitter_mask(), smooth_regions(geometry.mesh)
+        level = find_level(views, estimate.maps, geometry, is_lamp, region_of_face, estimate.doubt_at)
+        run.report.albedo_level = asdict(level.report)
+        if level.report.reason:
+            change = "increased" if level.report.is_applied else "corrected"
+            run.report.notes.append(f"the albedo scale is not {change}: {level.report.reason}")
+        if not level.report.is_applied:
+            return estimate
+        corrected = []
+        for view_maps, view in zip(estimate.maps, traced.views, strict=True):
+            face = view.geometry.face
+            region = np.where(face >= 0, region_of_face[np.maximum(face, 0)], -1)
+            albedo = level.corrected(view_maps["diffuse_albedo"], region)
+            corrected.append({**view_maps, "diffuse_albedo": albedo})
+        return replace(estimate, maps=corrected)

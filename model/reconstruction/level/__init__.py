@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: MIT
-"""Estimates the albedo scale from interreflection."""
