@@ -22,22 +22,19 @@ from datagen.formats.asset import (
     lens_of,
 )
 from datagen.formats.base import matrix4, quantized
-from datagen.formats.lights import AreaLight, DirectionalLight, EnvironmentLight, Light
 from datagen.formats.package import FileSource, Package, write_package
 from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.ply import encode_ply
 from model.reconstruction.atlas.atlas import MAP_CHANNELS
 from model.reconstruction.export.slots import Reconstruction, Slot, environment_exr, export_slots
-from model.reconstruction.found_lights import ENVIRONMENT_FILE, SKY, SUN, FoundLights, as_color
+from model.reconstruction.found_lights import ENVIRONMENT_FILE
 
 _REGION_MARGIN_M = 0.05  # prevents an empty region for a single camera
 
 
 def write_asset(path: Path, reconstruction: Reconstruction, asset_id: str) -> Package:
-    """Write the reconstruction as an environment package, with the capture's cameras and recovered lights.
-
-    Without recovered lights, the package contains the capture's lights, except those with an image in another
-    package, on which it would depend.
+    """Write the reconstruction as an environment package, with the capture's cameras and
+    :attr:`Reconstruction.exported_lights`.
     """
     capture = reconstruction.capture
     files: dict[str, FileSource] = {
@@ -58,9 +55,7 @@ def write_asset(path: Path, reconstruction: Reconstruction, asset_id: str) -> Pa
         provenance=Provenance(license="LicenseRef-unstated", source=source),
         materials=materials,
         parts=tuple(parts),
-        lights=_found_lights(found)
-        if found is not None
-        else tuple(light for light in capture.lights if getattr(light, "image", None) is None),
+        lights=reconstruction.exported_lights,
         camera_regions=(_camera_region(capture.cameras),),
         cameras=tuple(
             AssetCamera(
@@ -72,37 +67,6 @@ def write_asset(path: Path, reconstruction: Reconstruction, asset_id: str) -> Pa
         ),
     )
     return write_package(path, asset, files, overwrite=True)
-
-
-def _found_lights(found: FoundLights) -> tuple[Light, ...]:
-    """Convert rectangles of panels and windows to area lights, the sky to an environment light, and the sun
-    to a directional light.
-    """
-    areas = (
-        AreaLight(
-            name=f"{patch.slot}-{number}",
-            origin_m=rectangle.origin_m,
-            edge_u_m=rectangle.edge_u_m,
-            edge_v_m=rectangle.edge_v_m,
-            radiance=rectangle.radiance,
-        )
-        for patch in found.sending
-        for number, rectangle in enumerate(patch.rectangles)
-    )
-    far: list[Light] = []
-    if found.environment is not None:
-        far.append(EnvironmentLight(name=SKY, image=ENVIRONMENT_FILE))
-    if found.sun is not None:
-        away = as_color(-np.array(found.sun.direction))
-        far.append(
-            DirectionalLight(
-                name=SUN,
-                direction=away,
-                irradiance=found.sun.irradiance,
-                angular_diameter_rad=found.sun.angular_diameter_rad,
-            )
-        )
-    return (*areas, *far)
 
 
 def _material(slot: Slot) -> SlotMaterial:

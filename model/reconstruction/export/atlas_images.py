@@ -24,7 +24,8 @@ from datagen.foundation.progress import Advance, no_advance
 from datagen.multiview.compiled import num_threads
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas, let_go
 
-_BAND = 1024
+BAND = 1024
+"""Number of rows of an atlas that are converted at once."""
 MAX_TEXTURE = 4096
 """Maximum side of textures in a GLB or USDZ, in texels, a limit of most viewers; larger ones are reduced."""
 CONFIDENCE = "confidence"
@@ -38,9 +39,9 @@ def map_bytes(name: str, array: NDArray) -> NDArray[np.uint8]:
     values = np.nan_to_num(np.clip(halves, 0.0, 1.0))
     table = quantized_bytes(srgb_from_linear(values) if MAP_CHANNELS[name] == 3 else values)
     stored = np.empty(array.shape, np.uint8)[..., ::-1]  # B G R in memory, so the PNG writer need not copy it
-    for top in range(0, array.shape[0], _BAND):
-        band = np.ascontiguousarray(array[top : top + _BAND], np.float16)
-        stored[top : top + _BAND] = table[band.view(np.uint16)]
+    for top in range(0, array.shape[0], BAND):
+        band = np.ascontiguousarray(array[top : top + BAND], np.float16)
+        stored[top : top + BAND] = table[band.view(np.uint16)]
         let_go(array)
     return stored
 
@@ -59,11 +60,23 @@ def averaged(band: NDArray, shrink: int) -> NDArray[np.float32]:
     return values.reshape(height // shrink, shrink, width // shrink, shrink, channels).mean(axis=(1, 3))
 
 
+def reduced_png(atlas: Atlas, name: str) -> bytes:
+    """Encode the map ``name``, reduced to at most :data:`MAX_TEXTURE` texels a side, as an 8-bit PNG."""
+    shrink = texture_shrink(atlas)
+    side = atlas.size // shrink
+    stored = np.empty((side, side, MAP_CHANNELS[name]), np.uint8)
+    for first in range(0, side, BAND):
+        rows = atlas.maps[name][first * shrink : (first + BAND) * shrink]
+        stored[first : first + BAND] = map_bytes(name, averaged(rows, shrink).astype(np.float16))
+    atlas.release()
+    return encode_png(stored)
+
+
 def mask_png(atlas: Atlas) -> bytes:
     """Encode a grey PNG with the value :data:`SEEN`, :data:`FILLED` or :data:`EMPTY` at each texel."""
     mask = np.full(atlas.face.shape, EMPTY, np.uint8)
-    for top in range(0, atlas.size, _BAND):
-        rows = slice(top, top + _BAND)
+    for top in range(0, atlas.size, BAND):
+        rows = slice(top, top + BAND)
         mask[rows][atlas.face[rows] >= 0] = FILLED
         mask[rows][atlas.count[rows] > 0] = SEEN
     return encode_png(mask)

@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 
 from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.color import luminance
-from datagen.foundation.images import encode_png
 from model.reconstruction.atlas.atlas import MAP_CHANNELS
-from model.reconstruction.export.atlas_images import averaged, map_bytes, texture_shrink
+from model.reconstruction.export.atlas_images import reduced_png, texture_shrink
 from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
 from model.reconstruction.export.slots import Reconstruction
 from model.reconstruction.found_lights import SKY, SUN, Color, FoundLights, RadianceSamples, as_color
@@ -128,11 +127,9 @@ def _load_scene(reconstruction: Reconstruction, folder: Path) -> Any:
     from mitsuba_plugins import register
 
     register()
-    shrink = texture_shrink(reconstruction.atlas)
-    if shrink > 1:
+    if texture_shrink(reconstruction.atlas) > 1:
         for name in MAP_CHANNELS:
-            reduced = averaged(reconstruction.atlas.maps[name], shrink).astype(np.float16)
-            write_bytes_atomically(folder / f"{name}.png", encode_png(map_bytes(name, reduced)))
+            write_bytes_atomically(folder / f"{name}.png", reduced_png(reconstruction.atlas, name))
         reconstruction = replace(reconstruction, images=folder)
     return mi.load_file(str(write_mitsuba_scene(folder / "scene", reconstruction, has_sensors=False)))
 

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from datagen.foundation.color import linear_from_srgb, srgb_from_linear
 from datagen.foundation.images import encode_png, quantized_bytes
 from model.reconstruction.atlas.atlas import Atlas
-from model.reconstruction.export.atlas_images import averaged, texture_shrink
+from model.reconstruction.export.atlas_images import BAND, averaged, texture_shrink
 
 DIELECTRIC_F0 = 0.04
 MAX_DIELECTRIC_F0 = 0.16
-_BAND = 1024
 
 
 @dataclass(frozen=True)
@@ -80,8 +79,8 @@ def metallic_textures(atlas: Atlas) -> MetallicTextures:
     shrink = texture_shrink(atlas)
     bands: list[list[NDArray[np.uint8]]] = [[], [], []]
     sums, most, num = np.zeros(2), np.zeros(2), 0
-    for top in range(0, atlas.size, _BAND * shrink):
-        rows = slice(top, top + _BAND * shrink)
+    for top in range(0, atlas.size, BAND * shrink):
+        rows = slice(top, top + BAND * shrink)
         diffuse, specular, rough = (averaged(atlas.maps[name][rows], shrink) for name in atlas.maps)
         base, metallic, tint = metallic_channels(diffuse, specular)
         packed = np.stack([np.ones_like(metallic), rough[..., 0], metallic], axis=-1)

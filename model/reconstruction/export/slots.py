@@ -12,12 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.capture import Capture
+from datagen.formats.lights import AreaLight, DirectionalLight, EnvironmentLight, Light
 from datagen.foundation.exr import encode_view
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.geometry.crease_normals import with_normals
 from model.reconstruction.atlas.atlas import Atlas
 from model.reconstruction.export.metallic_textures import MetallicTextures, metallic_textures
-from model.reconstruction.found_lights import Color, FoundLights, FoundPatch
+from model.reconstruction.found_lights import (
+    ENVIRONMENT_FILE,
+    SKY,
+    SUN,
+    Color,
+    FoundLights,
+    FoundPatch,
+    as_color,
+)
 
 SURFACE = "surface"
 WORLD_FROM_SKY = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
@@ -49,6 +58,16 @@ class Reconstruction:
         """Recovered lights, which replace the capture's known lights; None if none of them emits."""
         return None if self.lights is None or self.lights.is_dark else self.lights
 
+    @property
+    def exported_lights(self) -> tuple[Light, ...]:
+        """Lights other than emissive surfaces: those recovered or, without any, the capture's, except those
+        with an image in another package, on which the export would depend.
+        """
+        found = self.shining_lights
+        if found is None:
+            return tuple(light for light in self.capture.lights if getattr(light, "image", None) is None)
+        return _as_lights(found)
+
 
 @dataclass(frozen=True)
 class Slot:
@@ -59,6 +78,37 @@ class Slot:
     mesh: Mesh
     emission: Color | None
     has_material: bool
+
+
+def _as_lights(found: FoundLights) -> tuple[Light, ...]:
+    """Convert rectangles of panels and windows to area lights, the sky to an environment light, and the sun
+    to a directional light.
+    """
+    areas = (
+        AreaLight(
+            name=f"{patch.slot}-{number}",
+            origin_m=rectangle.origin_m,
+            edge_u_m=rectangle.edge_u_m,
+            edge_v_m=rectangle.edge_v_m,
+            radiance=rectangle.radiance,
+        )
+        for patch in found.sending
+        for number, rectangle in enumerate(patch.rectangles)
+    )
+    far: list[Light] = []
+    if found.environment is not None:
+        far.append(EnvironmentLight(name=SKY, image=ENVIRONMENT_FILE))
+    if found.sun is not None:
+        away = as_color(-np.array(found.sun.direction))
+        far.append(
+            DirectionalLight(
+                name=SUN,
+                direction=away,
+                irradiance=found.sun.irradiance,
+                angular_diameter_rad=found.sun.angular_diameter_rad,
+            )
+        )
+    return (*areas, *far)
 
 
 def export_slots(reconstruction: Reconstruction) -> dict[str, Slot]:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from datagen.formats.lights import (
     AreaLight,
@@ -33,14 +33,13 @@ from datagen.formats.lights import (
 from datagen.foundation.axes import affine
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import input_error
-from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.naming import unique
-from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas
-from model.reconstruction.export.atlas_images import averaged, map_bytes, texture_shrink
+from model.reconstruction.atlas.atlas import Atlas
+from model.reconstruction.export.atlas_images import BAND, reduced_png
 from model.reconstruction.export.metallic_textures import DIELECTRIC_F0, MAX_DIELECTRIC_F0
 from model.reconstruction.export.slots import WORLD_FROM_SKY, Reconstruction, environment_exr, export_slots
-from model.reconstruction.found_lights import ENVIRONMENT_FILE, SKY, SUN, Color
+from model.reconstruction.found_lights import ENVIRONMENT_FILE, Color
 
 POINT_RADIUS_M = 0.01
 """Radius of the sphere that represents a point light, which UsdLux lacks."""
@@ -56,7 +55,6 @@ _INPUTS = {
     },
 }
 """Texture outputs that are connected to the inputs of the surface shader, by workflow."""
-_BAND = 1024
 _FIRST_ZIP_TIME_S = 315532800  # 1980; constant, so that equal content has equal bytes
 
 
@@ -85,21 +83,8 @@ def write_usdz(path: Path, reconstruction: Reconstruction) -> None:
         writer = _Stage(stage_file, mean_index(reconstruction.atlas))
         for slot_name, slot in export_slots(reconstruction).items():
             writer.mesh(slot_name, slot.mesh, slot.emission, has_material=slot.has_material)
-        found = reconstruction.shining_lights
-        if found is None:
-            for light in reconstruction.capture.lights:
-                writer.known_light(light)
-        else:
-            for patch in found.sending:
-                for number, rectangle in enumerate(patch.rectangles):
-                    edges = (rectangle.origin_m, rectangle.edge_u_m, rectangle.edge_v_m)
-                    writer.flat(f"{patch.slot}-{number}", *edges, rectangle.radiance)
-            if found.environment is not None:
-                (folder / ENVIRONMENT_FILE).write_bytes(environment_exr(found.environment))
-                writer.dome(SKY, (1.0, 1.0, 1.0), ENVIRONMENT_FILE, np.eye(4))
-            if found.sun is not None:
-                away = -np.array(found.sun.direction)
-                writer.distant(SUN, away, found.sun.irradiance, found.sun.angular_diameter_rad)
+        for light in reconstruction.exported_lights:
+            writer.light(light)
         writer.save()
         for file in folder.iterdir():
             os.utime(file, (_FIRST_ZIP_TIME_S, _FIRST_ZIP_TIME_S))
@@ -111,9 +96,9 @@ def write_usdz(path: Path, reconstruction: Reconstruction) -> None:
 def mean_index(atlas: Atlas) -> float:
     """Compute the index of refraction whose F0 is the mean S of non-metallic texels, 1.5 without any."""
     total, num = 0.0, 0
-    for top in range(0, atlas.size, _BAND):
-        specular = np.asarray(atlas.maps["specular_albedo"][top : top + _BAND], np.float32)
-        of_surface = specular[atlas.face[top : top + _BAND] >= 0]
+    for top in range(0, atlas.size, BAND):
+        specular = np.asarray(atlas.maps["specular_albedo"][top : top + BAND], np.float32)
+        of_surface = specular[atlas.face[top : top + BAND] >= 0]
         dielectric = of_surface[of_surface.max(axis=-1) <= MAX_DIELECTRIC_F0]
         total, num = total + float(dielectric.mean(axis=-1).sum()), num + len(dielectric)
         atlas.release()
@@ -122,18 +107,13 @@ def mean_index(atlas: Atlas) -> float:
 
 
 def _write_textures(folder: Path, reconstruction: Reconstruction) -> None:
-    atlas, made = reconstruction.atlas, reconstruction.metallic
-    (folder / "base_color.png").write_bytes(made.base_color)
-    (folder / "orm.png").write_bytes(made.orm)
-    shrink = texture_shrink(atlas)
-    side = atlas.size // shrink
+    (folder / "base_color.png").write_bytes(reconstruction.metallic.base_color)
+    (folder / "orm.png").write_bytes(reconstruction.metallic.orm)
     for name in ("diffuse_albedo", "specular_albedo"):
-        stored = np.empty((side, side, MAP_CHANNELS[name]), np.uint8)
-        for first in range(0, side, _BAND):
-            rows = atlas.maps[name][first * shrink : (first + _BAND) * shrink]
-            stored[first : first + _BAND] = map_bytes(name, averaged(rows, shrink).astype(np.float16))
-        (folder / f"{name}.png").write_bytes(encode_png(stored))
-        atlas.release()
+        (folder / f"{name}.png").write_bytes(reduced_png(reconstruction.atlas, name))
+    found = reconstruction.shining_lights
+    if found is not None and found.environment is not None:
+        (folder / ENVIRONMENT_FILE).write_bytes(environment_exr(found.environment))
 
 
 class _Stage:
@@ -238,92 +218,53 @@ class _Stage:
                         value
                     )
 
-    def known_light(self, light: Light) -> None:
-        """Add a light of the capture; unsupported kinds and images in other packages are omitted."""
-        if isinstance(light, PointLight):
-            radiance = np.asarray(light.intensity) / (np.pi * POINT_RADIUS_M**2)
-            self._sphere(light.name, light.position_m, POINT_RADIUS_M, radiance, is_point=True)
-        elif isinstance(light, SphereLight):
-            radiance = np.asarray(light.radiance)
-            self._sphere(light.name, light.position_m, light.radius_m, radiance, is_point=False)
-        elif isinstance(light, AreaLight):
-            place = light.origin_m, light.edge_u_m, light.edge_v_m
-            self.flat(light.name, *place, light.radiance, is_disk=light.shape == "disk")
-        elif isinstance(light, DirectionalLight):
-            away = np.array(light.direction)
-            self.distant(light.name, away, light.irradiance, light.angular_diameter_rad)
-        elif isinstance(light, EnvironmentLight) and light.image is None:
-            radiance = np.asarray(light.radiance) * light.scale
-            self.dome(light.name, tuple(radiance), None, np.array(light.world_from_environment))
+    def light(self, light: Light) -> None:
+        """Add a light; unsupported kinds are omitted. Lights of UsdLux emit along -Z."""
+        from pxr import Gf, Sdf, UsdLux
 
-    def flat(
-        self,
-        name: str,
-        origin: Color,
-        edge_u: Color,
-        edge_v: Color,
-        radiance: Color,
-        *,
-        is_disk: bool = False,
-    ) -> None:
-        """Add a rectangle, or the ellipse in it, that emits along edge_u x edge_v; in UsdLux along -Z."""
-        from pxr import UsdLux
-
-        u, v = np.array(edge_u, np.float64), np.array(edge_v, np.float64)
-        width, height = np.linalg.norm(u), np.linalg.norm(v)
-        normal = np.cross(u, v)
-        placed = np.eye(4)
-        placed[:3, 0], placed[:3, 2] = u / width, -normal / np.linalg.norm(normal)
-        placed[:3, 1] = np.cross(placed[:3, 2], placed[:3, 0])
-        placed[:3, 3] = np.array(origin) + (u + v) / 2
-        path = self._path(name)
-        if is_disk:
-            light = UsdLux.DiskLight.Define(self.stage, path)
-            light.CreateRadiusAttr(0.5)
-            placed[:3, :2] *= (width, height)
-        else:
-            light = UsdLux.RectLight.Define(self.stage, path)
-            light.CreateWidthAttr(float(width))
-            light.CreateHeightAttr(float(height))
-        self._place(light, placed)
-        _shine(UsdLux.LightAPI(light.GetPrim()), radiance)
-
-    def dome(self, name: str, radiance: Color, image: str | None, world_from_environment: NDArray) -> None:
-        """Add a dome light of constant radiance, times ``image`` in the project's convention if given."""
-        from pxr import Sdf, UsdLux
-
-        light = UsdLux.DomeLight.Define(self.stage, self._path(name))
-        if image is not None:
-            light.CreateTextureFileAttr(Sdf.AssetPath(f"./{image}"))
-            light.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
-        self._place(light, world_from_environment @ WORLD_FROM_SKY)
-        _shine(UsdLux.LightAPI(light.GetPrim()), radiance)
-
-    def distant(self, name: str, direction: NDArray, irradiance: Color, diameter_rad: float) -> None:
-        """Add a distant light that travels in ``direction`` (3,)."""
-        from pxr import UsdLux
-
-        light = UsdLux.DistantLight.Define(self.stage, self._path(name))
-        light.CreateAngleAttr(float(np.degrees(diameter_rad)))
-        light.CreateNormalizeAttr(True)
-        placed = np.eye(4)
-        placed[:3, 2] = -direction / np.linalg.norm(direction)
-        placed[:3, 0] = np.cross(np.eye(3)[np.abs(direction).argmin()], placed[:3, 2])
-        placed[:3, 0] /= np.linalg.norm(placed[:3, 0])
-        placed[:3, 1] = np.cross(placed[:3, 2], placed[:3, 0])
-        self._place(light, placed)
-        _shine(UsdLux.LightAPI(light.GetPrim()), irradiance)
-
-    def _sphere(
-        self, name: str, position: Color, radius: float, radiance: NDArray, *, is_point: bool
-    ) -> None:
-        from pxr import UsdLux
-
-        light = UsdLux.SphereLight.Define(self.stage, self._path(name))
-        light.CreateRadiusAttr(float(radius))
-        light.CreateTreatAsPointAttr(is_point)
-        self._place(light, affine(np.eye(3), position))
-        _shine(UsdLux.LightAPI(light.GetPrim()), tuple(radiance))
+        color: NDArray | Color
+        match light:
+            case PointLight() | SphereLight():
+                made = UsdLux.SphereLight.Define(self.stage, self._path(light.name))
+                if isinstance(light, PointLight):
+                    radius_m, color = POINT_RADIUS_M, np.array(light.intensity) / (np.pi * POINT_RADIUS_M**2)
+                else:
+                    radius_m, color = light.radius_m, light.radiance
+                made.CreateRadiusAttr(float(radius_m))
+                made.CreateTreatAsPointAttr(isinstance(light, PointLight))
+                placed = affine(np.eye(3), light.position_m)
+            case AreaLight():
+                u, v = np.array(light.edge_u_m, np.float64), np.array(light.edge_v_m, np.float64)
+                size = np.linalg.norm(u), np.linalg.norm(v)
+                placed = _facing(u / size[0], -np.cross(u, v), np.array(light.origin_m) + (u + v) / 2)
+                path, color = self._path(light.name), light.radiance
+                if light.shape == "disk":
+                    made = UsdLux.DiskLight.Define(self.stage, path)
+                    made.CreateRadiusAttr(0.5)
+                    placed[:3, :2] *= size
+                else:
+                    made = UsdLux.RectLight.Define(self.stage, path)
+                    made.CreateWidthAttr(float(size[0]))
+                    made.CreateHeightAttr(float(size[1]))
+            case DirectionalLight():
+                made = UsdLux.DistantLight.Define(self.stage, self._path(light.name))
+                made.CreateAngleAttr(float(np.degrees(light.angular_diameter_rad)))
+                made.CreateNormalizeAttr(True)
+                away, color = np.array(light.direction), light.irradiance
+                x = np.cross(np.eye(3)[np.abs(away).argmin()], -away / np.linalg.norm(away))
+                placed = _facing(x / np.linalg.norm(x), -away)
+            case EnvironmentLight():
+                made = UsdLux.DomeLight.Define(self.stage, self._path(light.name))
+                if light.image is not None:
+                    made.CreateTextureFileAttr(Sdf.AssetPath(f"./{light.image}"))
+                    made.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
+                placed = np.array(light.world_from_environment) @ WORLD_FROM_SKY
+                color = np.asarray(light.radiance) * light.scale
+            case _:
+                return
+        rows = placed.T  # USD uses row vectors
+        made.AddTransformOp().Set(Gf.Matrix4d(*(float(v) for v in rows.ravel())))
+        _shine(UsdLux.LightAPI(made.GetPrim()), color)
 
     def _path(self, name: str) -> str:
         """Return a new path for a mesh or light; names of lights may be equal as identifiers."""
@@ -331,14 +272,16 @@ class _Stage:
         self._names.add(identifier)
         return f"{ROOT}/{identifier}"
 
-    def _place(self, prim: Any, placed: NDArray) -> None:
-        from pxr import Gf
 
-        rows = np.asarray(placed, np.float64).T  # USD uses row vectors
-        prim.AddTransformOp().Set(Gf.Matrix4d(*(float(v) for v in rows.ravel())))
+def _facing(x: NDArray, z: NDArray, origin_m: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[np.float64]:
+    """Return the transform (4, 4) of a frame with the unit vector ``x``, and the direction ``z``, of any
+    length.
+    """
+    unit = z / np.linalg.norm(z)
+    return affine(np.stack([x, np.cross(unit, x), unit], axis=1), origin_m)
 
 
-def _shine(light: Any, radiance: Color) -> None:
+def _shine(light: Any, radiance: NDArray | Color) -> None:
     """Set the radiance (irradiance of a distant light) as a colour of at most 1 times an intensity."""
     from pxr import Gf
 
