@@ -74,6 +74,20 @@ def image_size(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")) -
         raise input_error(path, got=str(error)[:200], expected=expected, remedy=_REPLACE) from None
 
 
+def check_size(path: Path, size_px: tuple[int, int], pixel_bytes: int) -> None:
+    """Raise :class:`InputError` if an image is too large, or larger than its file can contain.
+
+    ``pixel_bytes``: decoded bytes per pixel.
+    """
+    from datagen.foundation.exr import check_claim
+
+    width, height = size_px
+    if max(width, height) > MAX_IMAGE_SIDE_PX:
+        expected = f"at most {MAX_IMAGE_SIDE_PX} per side"
+        raise input_error(path, "size", f"{width}x{height}", expected, "shrink it")
+    check_claim((width, height), pixel_bytes, path.stat().st_size, path)
+
+
 def normalized(pixels: NDArray[Any]) -> NDArray[np.float32]:
     """Return pixels as float32; unsigned integers are scaled to [0, 1]."""
     if pixels.dtype.kind == "u":
@@ -112,14 +126,7 @@ def read_ldr(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG")) -> NDArray[
     """
     import cv2
 
-    from datagen.foundation.exr import check_claim
-
-    width, height = image_size(path, formats)
-    if max(width, height) > MAX_IMAGE_SIDE_PX:
-        raise input_error(
-            path, "size", f"{width}x{height}", f"at most {MAX_IMAGE_SIDE_PX} per side", "shrink it"
-        )
-    check_claim((width, height), 8, path.stat().st_size, path)  # at most four channels of 16 bits
+    check_size(path, image_size(path, formats), 8)  # at most four channels of 16 bits
     data = path.read_bytes()
     pixels = None
     if data[:8] != _PNG_SIGNATURE or _has_whole_chunks(data):

@@ -69,14 +69,14 @@ def colmap_of(folder: Path, suffix: str, num: int = 3) -> Path:
 @pytest.mark.skipif(not HAS_HEIC, reason="needs pillow-heif")
 def test_heic_is_read(tmp_path: Path) -> None:
     expected = np.asarray(picture()).astype(float)
-    pixels = read_photograph(write_heic(tmp_path / "a.HEIC"))
+    pixels = read_photograph(write_heic(tmp_path / "a.HEIC"))[0]
     assert pixels.dtype == np.uint8 and photograph_size(tmp_path / "a.HEIC") == SIZE
     assert np.abs(pixels - expected).mean() < 4
     assert exif_orientation(tmp_path / "a.HEIC") == 1
     assert relative_exposure(tmp_path / "a.HEIC") == pytest.approx(0.01 * 100 / 4)
     turned = write_heic(tmp_path / "b.heic", orientation=6)
     assert exif_orientation(turned) == 1, "HEIC is turned by its own property, which EXIF only repeats"
-    assert photograph_size(turned) == read_photograph(turned).shape[1::-1] == SIZE
+    assert photograph_size(turned) == read_photograph(turned)[0].shape[1::-1] == SIZE
     damaged = tmp_path / "c.heic"
     damaged.write_bytes(turned.read_bytes()[:400])
     with pytest.raises(InputError, match=r"c\.heic"):
@@ -95,7 +95,7 @@ def test_a_capture_of_heic_photographs(tmp_path: Path) -> None:
 
 def test_webp_is_read(tmp_path: Path) -> None:
     picture().save(tmp_path / "a.webp", lossless=True)
-    np.testing.assert_array_equal(read_photograph(tmp_path / "a.webp"), np.asarray(picture()))
+    np.testing.assert_array_equal(read_photograph(tmp_path / "a.webp")[0], np.asarray(picture()))
     assert photograph_size(tmp_path / "a.webp") == SIZE
     assert ImageFinder(tmp_path).find("a") == (tmp_path / "a.webp").resolve()
     camera = make_cameras(1)[0]
@@ -198,9 +198,9 @@ def test_raw_photographs_are_linear_with_a_clipping_limit(tmp_path: Path) -> Non
     assert image.clipped_mask is not None and image.clipped_mask[4:16, 4:26].all()
     assert not image.clipped_mask[30:].any() and not image.clipped_mask[:, 40:].any()
     turned = write_dng(tmp_path / "b.dng", linear, orientation=6)
-    assert photograph_size(turned) == (height, width) == read_photograph(turned).shape[1::-1]
-    upright = np.rot90(read_photograph(path), -1)
-    np.testing.assert_array_equal(read_photograph(turned)[8:-8, 8:-8], upright[8:-8, 8:-8])
+    assert photograph_size(turned) == (height, width) == read_photograph(turned)[0].shape[1::-1]
+    upright = np.rot90(read_photograph(path)[0], -1)
+    np.testing.assert_array_equal(read_photograph(turned)[0][8:-8, 8:-8], upright[8:-8, 8:-8])
     damaged = tmp_path / "c.dng"
     damaged.write_bytes(path.read_bytes()[:400])
     with pytest.raises(InputError, match=r"c\.dng"):
@@ -220,7 +220,7 @@ def test_16_bits_are_kept(tmp_path: Path, suffix: str) -> None:
     """16-bit values are sRGB-encoded like 8-bit ones, in finer steps."""
     stored = np.arange(64 * 40 * 3, dtype=np.uint16).reshape(40, 64, 3) * 8
     cv2.imwrite(str(tmp_path / f"a{suffix}"), stored[..., ::-1])
-    np.testing.assert_array_equal(read_photograph(tmp_path / f"a{suffix}"), stored)
+    np.testing.assert_array_equal(read_photograph(tmp_path / f"a{suffix}")[0], stored)
     camera = make_cameras(1)[0]
     color = PhotographSource(tmp_path / f"a{suffix}", camera, None, "auto").read(camera).color
     np.testing.assert_allclose(color, linear_from_srgb(stored / 65535.0), atol=1e-6)

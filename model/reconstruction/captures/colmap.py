@@ -54,9 +54,6 @@ class _Lens:
     parameters: tuple[float, ...]
 
 
-_Intrinsics = tuple[tuple[float, float, float, float], Distortion | None]
-
-
 def find(path: Path) -> Path | None:
     """Return the folder of a model, ``path`` or its subfolder ``sparse`` or ``sparse/0``, or None."""
     for model in (path, path / "sparse", path / "sparse" / "0"):
@@ -90,11 +87,10 @@ def read_colmap(folder: Path, budget: Budget) -> list[PosedImage]:
         where, cameras = folder / "images.txt", folder / "cameras.txt"
     problems: list[Problem] = []
     found = []
-    usable: dict[int, _Intrinsics | None] = {}
+    usable: dict[int, PosedImage | None] = {}
     for lens_id in sorted({lens_id for lens_id, _, _ in poses.values()} & set(lenses)):
         try:
-            lens = lenses[lens_id]
-            usable[lens_id] = lens_intrinsics(lens.model, lens.parameters, cameras, f"camera {lens_id}")
+            usable[lens_id] = _unposed(lenses[lens_id], cameras, f"camera {lens_id}")
         except InputError as error:
             usable[lens_id] = None
             problems.extend(error.problems)
@@ -103,16 +99,13 @@ def read_colmap(folder: Path, budget: Budget) -> list[PosedImage]:
             problems.append(Problem(where, name, f"camera {lens_id}", "a camera of the model", _REMEDY))
             continue
         try:
-            intrinsics = usable[lens_id]
+            lens = usable[lens_id]
             pose = _pose(name, quaternion, translation, where)
         except InputError as error:
             problems.extend(error.problems)
             continue
-        if intrinsics is not None:
-            (fx, fy, cx, cy), distortion = intrinsics
-            lens = lenses[lens_id]
-            camera = Camera(lens.width, lens.height, fx, fy, cx, cy, pose)
-            found.append(PosedImage(name, camera, distortion))
+        if lens is not None:
+            found.append(lens.posed(name, pose))
     if not poses:
         problems.append(Problem(where, "", "no images", "at least one registered image", _REMEDY))
     raise_problems(problems)
@@ -140,11 +133,12 @@ def rotation_of(quaternion: NDArray) -> NDArray[np.float64]:
     )
 
 
-def lens_intrinsics(model: str, p: tuple[float, ...], where: Path, field: str) -> _Intrinsics:
-    """Convert a COLMAP lens model with parameters ``p`` to (fx, fy, cx, cy) in pixels and the distortion.
+def _unposed(lens: _Lens, where: Path, field: str) -> PosedImage:
+    """Convert a COLMAP lens to an unnamed image from the origin.
 
     Raises :class:`InputError`, which names ``field``, for unsupported models and invalid parameters.
     """
+    model, p = lens.model, lens.parameters
     if model not in _SUPPORTED:
         raise input_error(where, f"{field} model", model, _UNSUPPORTED, _UNDISTORT)
     num_focal = 1 if model.startswith(("SIMPLE", "RADIAL")) else 2
@@ -156,7 +150,8 @@ def lens_intrinsics(model: str, p: tuple[float, ...], where: Path, field: str) -
     if not (min(focal) > 0 and np.isfinite([*focal, *center, *k]).all()):
         raise input_error(where, f"{field} parameters", p, "finite values, focal lengths above 0", _REMEDY)
     distortion = Distortion(model=kind, coefficients=k) if any(k) else None  # type: ignore[arg-type]
-    return (focal[0], focal[1], center[0], center[1]), distortion
+    (fx, fy), (cx, cy) = focal, center
+    return PosedImage("", Camera(lens.width, lens.height, fx, fy, cx, cy, np.eye(4)), distortion)
 
 
 def _lines(path: Path) -> list[str]:

@@ -12,7 +12,6 @@ fisheyes equal OpenCV's fisheye if p1 = p2 = 0.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -39,17 +38,6 @@ _FISHEYES = ("fisheye", "equidistant_fisheye")
 _EARTH = ("GEOGCS", "GEOCCS", "PROJCS", "GEOGCRS", "PROJCRS", "COMPD_CS", "COMPOUNDCRS")
 
 
-@dataclass(frozen=True)
-class _Sensor:
-    width_px: int
-    height_px: int
-    fx_px: float
-    fy_px: float
-    cx_px: float
-    cy_px: float
-    distortion: Distortion | None
-
-
 def find(path: Path) -> Path | None:
     """Return the camera file ``path``, or the only one in the folder ``path``; None if there is none."""
     files = sorted(path.glob("*.xml")) if path.is_dir() else [path] if path.suffix.lower() == ".xml" else []
@@ -65,14 +53,13 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
         raise input_error(path, "chunk", len(chunks), "one chunk", "export the cameras of one chunk")
     chunk = chunks[0]
     problems: list[Problem] = []
-    sensors: dict[str, _Sensor] = {}
-    broken: set[str] = set()
+    sensors: dict[str, PosedImage | None] = {}
     for element in chunk.iterfind("sensors/sensor"):
         key = element.get("id", "")
         try:
             sensors[key] = _sensor(element, path)
         except InputError as error:
-            broken.add(key)
+            sensors[key] = None
             problems.extend(error.problems)
     _check_local(chunk, path)
     placement = _similarity(chunk.find("transform"), path)
@@ -91,12 +78,15 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
             continue
         key = camera.get("sensor_id", "")
         if key not in sensors:
-            if key not in broken:
-                problems.append(Problem(path, name, f"sensor {key}", "a sensor of the file", EXPORT_AGAIN))
+            problems.append(Problem(path, name, f"sensor {key}", "a sensor of the file", EXPORT_AGAIN))
+        sensor = sensors.get(key)
+        if sensor is None:
             continue
         try:
             frame = components.get(camera.get("component_id", ""), placement)
-            found.append(_posed(name, transform, sensors[key], frame, path))
+            total = frame @ numbers(transform.text, 16, path, f"{name}.transform").reshape(4, 4)
+            rotation = rotation_part(total[:3, :3], path, f"{name}.transform")
+            found.append(sensor.posed(name, affine(rotation, total[:3, 3])))
         except InputError as error:
             problems.extend(error.problems)
     if not found and not problems:
@@ -107,8 +97,8 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     return Calibration(tuple(found), folder, notes)
 
 
-def _sensor(element: ElementTree.Element, path: Path) -> _Sensor:
-    """Parse a sensor's intrinsics; the adjusted calibration is preferred to the initial one."""
+def _sensor(element: ElementTree.Element, path: Path) -> PosedImage:
+    """Parse a sensor, as an unnamed image from the origin; an adjusted calibration is preferred."""
     field = f"sensor {element.get('id')}"
     found = element.findall("calibration")
     calibration = next((c for c in found if c.get("class") == "adjusted"), found[-1] if found else None)
@@ -132,7 +122,7 @@ def _sensor(element: ElementTree.Element, path: Path) -> _Sensor:
     check_skew(p["b2"], p["f"], height, path, f"{field}.b2")
     kind = calibration.get("type") or element.get("type") or "frame"
     fx, fy, cx, cy = p["f"] + p["b1"], p["f"], 0.5 * width + p["cx"], 0.5 * height + p["cy"]
-    return _Sensor(width, height, fx, fy, cx, cy, _distortion(kind, p, path, field))
+    return PosedImage("", Camera(width, height, fx, fy, cx, cy, np.eye(4)), _distortion(kind, p, path, field))
 
 
 def _distortion(kind: str, p: dict[str, float], path: Path, field: str) -> Distortion | None:
@@ -172,19 +162,3 @@ def _similarity(element: ElementTree.Element | None, path: Path) -> NDArray[np.f
     if translation is not None and translation.text:
         matrix[:3, 3] = numbers(translation.text, 3, path, "transform.translation")
     return matrix
-
-
-def _posed(
-    name: str,
-    transform: ElementTree.Element,
-    sensor: _Sensor,
-    world_from_chunk: NDArray[np.float64],
-    path: Path,
-) -> PosedImage:
-    chunk_from_camera = numbers(transform.text, 16, path, f"{name}.transform").reshape(4, 4)
-    total = world_from_chunk @ chunk_from_camera
-    pose = affine(rotation_part(total[:3, :3], path, f"{name}.transform"), total[:3, 3])
-    camera = Camera(
-        sensor.width_px, sensor.height_px, sensor.fx_px, sensor.fy_px, sensor.cx_px, sensor.cy_px, pose
-    )
-    return PosedImage(name, camera, sensor.distortion)

@@ -9,7 +9,6 @@ first occurrence, so classes are recognised by their keys.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +54,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     found: list[PosedImage] = []
     problems: list[Problem] = []
     unposed = 0
-    lenses: dict[Any, _Lens | None] = {}
+    lenses: dict[Any, PosedImage | None] = {}
     for view in views:
         name = str(Path(str(view.get("local_path", ""))) / str(view.get("filename", "")))
         try:
@@ -69,8 +68,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
                 lenses[key] = _lens(intrinsics[key], path, f"intrinsics {key}")
             lens = lenses[key]
             if lens is not None:
-                camera = replace(lens.camera, world_from_camera=pose)
-                found.append(PosedImage(name, camera, lens.distortion))
+                found.append(lens.posed(name, pose))
         except InputError as error:
             problems.extend(error.problems)
         except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
@@ -96,21 +94,15 @@ def _payload(entry: dict[str, Any]) -> dict[str, Any]:
     return payload
 
 
-@dataclass(frozen=True)
-class _Lens:
-    """Intrinsics, stored as a camera at the origin, and distortion."""
-
-    camera: Camera
-    distortion: Distortion | None
-
-
-def _lens(lens: dict[str, Any], path: Path, field: str) -> _Lens:
+def _lens(lens: dict[str, Any], path: Path, field: str) -> PosedImage:
+    """Parse intrinsics, as an unnamed image from the origin."""
     base = lens.get("value0", lens)  # some classes have the pinhole parameters in a nested object
     width, height, focal = int(base["width"]), int(base["height"]), float(base["focal_length"])
     cx, cy = (float(v) for v in base["principal_point"])
     if not (focal > 0 and min(width, height) > 0 and np.isfinite([focal, cx, cy]).all()):
         raise input_error(path, field, (width, height, focal), "positive values", EXPORT_AGAIN)
-    return _Lens(Camera(width, height, focal, focal, cx, cy, np.eye(4)), _distortion(lens, path, field))
+    camera = Camera(width, height, focal, focal, cx, cy, np.eye(4))
+    return PosedImage("", camera, _distortion(lens, path, field))
 
 
 def _pose(name: str, pose: dict[str, Any], path: Path) -> NDArray[np.float64]:

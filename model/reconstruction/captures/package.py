@@ -20,10 +20,9 @@ from datagen.foundation.encodings import Encoding
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.naming import slug, unique
 from datagen.rendering.capture_geometry import package_geometry, without_lamps
-from model.reconstruction.captures.exposures import exposure_scales
 from model.reconstruction.captures.options import Exposure
 from model.reconstruction.captures.photograph_files import unread_problems
-from model.reconstruction.captures.photographs import PhotographSource
+from model.reconstruction.captures.photographs import PhotographSource, exposure_scales
 from model.reconstruction.captures.posed import ImageFinder
 
 _FOLDERS = ("photographs", "images")
@@ -73,9 +72,7 @@ def read_package(
     if not found:
         expected = f"images in {folder} named after the cameras, such as {asset.cameras[0].name}.jpg"
         raise InputError(Problem(path, "photographs", "none", expected, "name their folder with --images"))
-    scales = [1.0] * len(found)
-    if exposure != "common":
-        scales = exposure_scales([image for *_, image in found], is_required=exposure == "exif")
+    scales = exposure_scales([image for *_, image in found], exposure)
     views = [
         CaptureView(name, camera, PhotographSource(image, camera, None, encoding, scale))
         for (name, camera, image), scale in zip(found, scales, strict=True)

@@ -9,7 +9,6 @@ rotate photographs upright, so their EXIF orientation is not applied again.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -17,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.errors import InputError, Problem, input_error
-from datagen.foundation.exr import check_claim
-from datagen.foundation.images import MAX_IMAGE_SIDE_PX, image_size, read_image, read_ldr
+from datagen.foundation.images import check_size, image_size, read_image, read_ldr
 from model.reconstruction.captures.raw_photographs import raw_size, read_raw
 
 HEIC_SUFFIXES = (".heic", ".heif", ".hif")
@@ -71,40 +69,20 @@ def unread_problems(where: str | Path, files: Sequence[Path]) -> list[Problem]:
     return problems
 
 
-@dataclass(frozen=True)
-class Stored:
-    """A decoded photograph.
-
-    ``pixels`` (H, W, C): stored values; ``is_linear``: whether they are linear regardless of the encoding
-    option; ``clipped`` (H, W): mask of clipped pixels, or None if it must be derived from the values.
-    """
-
-    pixels: NDArray
-    is_linear: bool = False
-    clipped: NDArray[np.bool_] | None = None
-
-
-def read_stored(path: Path) -> Stored:
-    """Decode a photograph of any readable format. Raises :class:`InputError`."""
-    _check(path)
-    if not is_raw(path):
-        return Stored(read_photograph(path))
-    pixels, clipped = read_raw(path)
-    return Stored(pixels, True, clipped)
-
-
-def read_photograph(path: Path) -> NDArray:
+def read_photograph(path: Path) -> tuple[NDArray, NDArray[np.bool_] | None]:
     """Read the pixels (H, W, C) of a photograph in the stored orientation; HEIC and raw files are upright.
 
-    Raises :class:`InputError`.
+    Also return the mask (H, W) of clipped pixels of a raw photograph, whose values are linear regardless of
+    the encoding option, else None. Raises :class:`InputError`.
     """
     _check(path)
     suffix = path.suffix.lower()
     if suffix in RAW_SUFFIXES:
-        return read_stored(path).pixels
+        return read_raw(path)
     if suffix in HEIC_SUFFIXES:
-        return _read_heic(path)
-    return read_ldr(path, _OPENCV_FORMATS[suffix]) if suffix in _OPENCV_FORMATS else read_image(path)
+        return _read_heic(path), None
+    stored = read_ldr(path, _OPENCV_FORMATS[suffix]) if suffix in _OPENCV_FORMATS else read_image(path)
+    return stored, None
 
 
 def photograph_size(path: Path) -> tuple[int, int]:
@@ -137,11 +115,7 @@ def _read_heic(path: Path) -> NDArray[np.uint8]:
     """Read upright pixels (H, W, 3). Raises :class:`InputError`."""
     from PIL import Image
 
-    width, height = photograph_size(path)
-    if max(width, height) > MAX_IMAGE_SIDE_PX:
-        got, expected = f"{width}x{height}", f"at most {MAX_IMAGE_SIDE_PX} per side"
-        raise input_error(path, "size", got, expected, "shrink it")
-    check_claim((width, height), 4, path.stat().st_size, path)
+    check_size(path, photograph_size(path), 4)
     try:
         with Image.open(path, formats=pillow_formats(path)) as image:
             return np.asarray(image.convert("RGB"))

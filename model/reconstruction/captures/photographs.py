@@ -7,6 +7,7 @@ ours minus 0.5. Linearisation precedes any resampling.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,13 +18,14 @@ from datagen.formats.capture import ColorImage, Distortion
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import linear_from_srgb
 from datagen.foundation.encodings import Encoding
-from datagen.foundation.errors import input_error
+from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.images import normalized
+from model.reconstruction.captures.options import Exposure
 from model.reconstruction.captures.photograph_files import (
     is_raw,
     photograph_size,
     pillow_formats,
-    read_stored,
+    read_photograph,
 )
 from model.reconstruction.captures.raw_photographs import raw_exposure
 
@@ -50,15 +52,15 @@ class PhotographSource:
 
     def read(self, camera: Camera) -> ColorImage:
         """Read the photograph and resample it to ``camera``, a pinhole camera with the same pose."""
-        stored = read_stored(self.path)
-        pixels = fit_orientation(stored.pixels, self.path, self.calibrated)
-        linear = linearized(pixels, "linear" if stored.is_linear else self.encoding)
+        stored, at_limit = read_photograph(self.path)
+        pixels = fit_orientation(stored, self.path, self.calibrated)
+        linear = linearized(pixels, self.encoding if at_limit is None else "linear")
         if not np.isfinite(linear).all():
             raise input_error(self.path, "pixels", "NaN or Inf", "finite values", "export the image again")
         has_limit = pixels.dtype.kind == "u"  # float images have no known limit
         clipped = linear >= CLIPPED_LEVEL if has_limit else None
-        if clipped is not None and stored.clipped is not None:
-            clipped = clipped | stored.clipped[..., None]
+        if clipped is not None and at_limit is not None:
+            clipped = clipped | at_limit[..., None]
         linear *= np.float32(self.exposure_scale)
         found = undistorted(linear, self.calibrated, self.distortion, camera, clipped)
         return replace(found, limit=self.exposure_scale) if has_limit else found
@@ -98,6 +100,26 @@ def relative_exposure(path: Path) -> float | None:
     except Exception:  # unreadable EXIF counts as missing, and Pillow may raise any exception of its parsers
         return None
     return gathered if f_number > 0 and np.isfinite(gathered) and gathered > 0 else None
+
+
+def exposure_scales(images: Sequence[Path], exposure: Exposure) -> list[float]:
+    """Compute the factor that compensates for the recorded exposure of each photograph, 1 at the median.
+
+    All factors are 1 if ``exposure`` is "common", or if any photograph has no record; if ``exposure`` is
+    "exif", raises :class:`InputError` with all of these photographs.
+    """
+    gathered = [None if exposure == "common" else relative_exposure(image) for image in images]
+    problems = [
+        Problem(image, "EXIF", "no exposure time, aperture or ISO", "all three", "use --exposure common")
+        for image, value in zip(images, gathered, strict=True)
+        if value is None
+    ]
+    if problems and exposure == "exif":
+        raise InputError(*problems)
+    if problems:
+        return [1.0] * len(gathered)
+    values = np.array(gathered, dtype=np.float64)
+    return [float(value) for value in np.median(values) / values]
 
 
 def upright(pixels: NDArray, orientation: int) -> NDArray:

@@ -10,7 +10,8 @@ from __future__ import annotations
 import os
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,10 @@ class PosedImage:
     camera: Camera
     distortion: Distortion | None
 
+    def posed(self, file: str, world_from_camera: NDArray[np.float64]) -> PosedImage:
+        """Return the image ``file`` through the same lens from another pose."""
+        return PosedImage(file, replace(self.camera, world_from_camera=world_from_camera), self.distortion)
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -68,7 +73,6 @@ class ImageFinder:
 
     def __init__(self, folder: Path):
         self.folder = folder
-        self._by_name: dict[str, list[Path]] | None = None
 
     def find(self, name: str) -> Path | None:
         """Find the image ``name`` in the folder, or the only one below it with its file name; else None."""
@@ -119,20 +123,19 @@ class ImageFinder:
 
     def _named(self, name: str) -> list[Path]:
         """Return the images below the folder with the file name of ``name``, in any known format."""
-        return self._index().get(Path(name).name.lower(), []) if name.isprintable() else []
+        return self._by_name.get(Path(name).name.lower(), []) if name.isprintable() else []
 
-    def _index(self) -> dict[str, list[Path]]:
-        """Return all images below the folder by lower-case name, with and without suffix."""
-        if self._by_name is None:
-            self._by_name = {}
-            paths = sorted(self.folder.rglob("*")) if self.folder.is_dir() else []
-            for path in paths:
-                is_image = path.suffix.lower() in KNOWN_SUFFIXES
-                image = self._admitted(str(path.relative_to(self.folder))) if is_image else None
-                if image is not None:
-                    for key in {path.name.lower(), path.stem.lower()}:
-                        self._by_name.setdefault(key, []).append(image)
-        return self._by_name
+    @cached_property
+    def _by_name(self) -> dict[str, list[Path]]:
+        """All images below the folder by lower-case name, with and without suffix."""
+        found: dict[str, list[Path]] = {}
+        for path in sorted(self.folder.rglob("*")) if self.folder.is_dir() else []:
+            is_image = path.suffix.lower() in KNOWN_SUFFIXES
+            image = self._admitted(str(path.relative_to(self.folder))) if is_image else None
+            if image is not None:
+                for key in {path.name.lower(), path.stem.lower()}:
+                    found.setdefault(key, []).append(image)
+        return found
 
 
 def read_text(path: Path) -> str:

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.errors import input_error
-from datagen.foundation.exr import check_claim
-from datagen.foundation.images import MAX_IMAGE_SIDE_PX
+from datagen.foundation.images import check_size
 
 LIMIT_SHARE = 0.99
 """Clipping level between black level (0) and white level (1); sensors saturate slightly below 1."""
@@ -33,11 +32,7 @@ def read_raw(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
     import cv2
     import rawpy
 
-    width, height = raw_size(path)
-    if max(width, height) > MAX_IMAGE_SIDE_PX:
-        expected = f"at most {MAX_IMAGE_SIDE_PX} per side"
-        raise input_error(path, "size", f"{width}x{height}", expected, "shrink it")
-    check_claim((width, height), 8, path.stat().st_size, path)
+    check_size(path, raw_size(path), 8)
     try:
         with rawpy.imread(str(path)) as raw:
             if raw.raw_type != rawpy.RawType.Flat:

@@ -9,7 +9,7 @@ require a mesh file; ``CaptureOptions`` defines the axes and units of cameras an
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -46,36 +46,27 @@ from model.reconstruction.captures import (
     transforms_json,
 )
 from model.reconstruction.captures.brackets import with_brackets
-from model.reconstruction.captures.exposures import exposure_scales
 from model.reconstruction.captures.frames import judged_unit, judged_up, level_rotation, up_of, z_up_from
 from model.reconstruction.captures.mesh_file import find_mesh, load_mesh, sound_mesh
-from model.reconstruction.captures.options import Axis, CaptureOptions, Exposure
+from model.reconstruction.captures.options import Axis, CaptureOptions
 from model.reconstruction.captures.package import is_package, read_package
-from model.reconstruction.captures.photographs import PhotographSource, upright_pose
+from model.reconstruction.captures.photographs import PhotographSource, exposure_scales, upright_pose
 from model.reconstruction.captures.posed import Calibration, ImageFinder
 from model.reconstruction.captures.rendered import library_of, read_shard
 
-
-@dataclass(frozen=True)
-class Form:
-    """A calibration format: its name, finder and reader."""
-
-    name: str
-    find: Callable[[Path], Path | None]
-    read: Callable[[Path, Path | None, Budget], Calibration]
-
-
-FORMS = (
-    Form("OpenMVG", openmvg.find, openmvg.read),
-    Form("transforms.json", transforms_json.find, transforms_json.read),
-    Form("Metashape", metashape.find, metashape.read),
-    Form("RealityCapture CSV", realitycapture.find_csv, realitycapture.read_csv),
-    Form("COLMAP", colmap.find, colmap.read),
-    Form("Bundler", bundler.find, bundler.read),
-    Form("Mitsuba scene", mitsuba_sensors.find, mitsuba_sensors.read),
-    Form("RealityCapture XMP", realitycapture.find_xmp, realitycapture.read_xmp),
-)
-"""Calibration formats in the order in which they are tried."""
+Finder = Callable[[Path], Path | None]
+Reader = Callable[[Path, Path | None, Budget], Calibration]
+FORMS: dict[str, tuple[Finder, Reader]] = {
+    "OpenMVG": (openmvg.find, openmvg.read),
+    "transforms.json": (transforms_json.find, transforms_json.read),
+    "Metashape": (metashape.find, metashape.read),
+    "RealityCapture CSV": (realitycapture.find_csv, realitycapture.read_csv),
+    "COLMAP": (colmap.find, colmap.read),
+    "Bundler": (bundler.find, bundler.read),
+    "Mitsuba scene": (mitsuba_sensors.find, mitsuba_sensors.read),
+    "RealityCapture XMP": (realitycapture.find_xmp, realitycapture.read_xmp),
+}
+"""Finder and reader of each calibration format, in the order in which they are tried."""
 
 
 _Kind = Literal["a shard", "capture.json", "an environment package", "cameras with photographs"]
@@ -177,7 +168,7 @@ def _calibrated(
     """
     form, found = _form_of(path)
     try:
-        calibration = form.read(found, options.images, budget)
+        calibration = FORMS[form][1](found, options.images, budget)
     except ValidationError as error:  # invalid cameras or lenses
         raise InputError(*problems_of(found, error)) from None
     if options.images is None and calibration.folder.is_symlink():
@@ -185,7 +176,7 @@ def _calibrated(
         raise input_error(calibration.folder, "", got, "a folder", "name it with --images")
     mesh = options.mesh.resolve() if options.mesh is not None else find_mesh(path)
     where = found.relative_to(path).as_posix() if found != path and found.is_relative_to(path) else found.name
-    kind = "" if where == form.name else f" ({form.name})"
+    kind = "" if where == form else f" ({form})"
     notes = [f"{len(calibration.images)} cameras in {where}{kind}", *calibration.notes]
     finder = ImageFinder(calibration.folder)
     files = [finder.find(image.file) for image in calibration.images]
@@ -220,13 +211,17 @@ def _calibrated(
         photographs.append(PhotographRecord(camera=camera, image=str(file), distortion=image.distortion))
     problems += finder.absent(path, missing, "name its folder with --images")
     raise_problems(problems)
+    scales = exposure_scales([Path(photograph.image) for photograph in photographs], options.exposure)
     of_mesh = rotation if options.mesh_up == "same" else z_up_from(options.mesh_up)
     matrix = affine(unit_m * of_mesh)
     rows = tuple(tuple(float(v) for v in row) for row in matrix)
     record = CaptureFile(
         name=slug(path.resolve().name.removesuffix(".json") or "capture"),
         encoding=options.encoding,
-        photographs=tuple(_with_exposures(photographs, options.exposure)),
+        photographs=tuple(
+            photograph.model_copy(update={"exposure_scale": scale})
+            for photograph, scale in zip(photographs, scales, strict=True)
+        ),
         mesh=MeshRecord(file=str(mesh), world_from_mesh=rows),  # type: ignore[arg-type]
     )
     return record, tuple(notes), loaded
@@ -252,15 +247,15 @@ def _rotation(
 
 def has_cameras(path: Path) -> bool:
     """Return whether ``path`` has a known capture format; its content is not checked."""
-    return _kind_of(path) is not None or any(form.find(path) is not None for form in FORMS)
+    return _kind_of(path) is not None or any(find(path) is not None for find, _ in FORMS.values())
 
 
-def _form_of(path: Path) -> tuple[Form, Path]:
-    for form in FORMS:
-        found = form.find(path)
+def _form_of(path: Path) -> tuple[str, Path]:
+    for form, (find, _) in FORMS.items():
+        found = find(path)
         if found is not None:
             return form, found
-    expected = f"a shard, capture.json, an environment package or {', '.join(f.name for f in FORMS)}"
+    expected = f"a shard, capture.json, an environment package or {', '.join(FORMS)}"
     got = "no known format" if path.exists() else "no such file or folder"
     raise input_error(path, "", got, expected, "check the path")
 
@@ -308,14 +303,3 @@ def shrunk_camera(camera: Camera, max_width_px: int) -> Camera:
         max(1, round(side * max_width_px / longer)) for side in (camera.width_px, camera.height_px)
     )
     return camera.scaled(width, height)
-
-
-def _with_exposures(photographs: Sequence[PhotographRecord], exposure: Exposure) -> list[PhotographRecord]:
-    if exposure == "common":
-        return list(photographs)
-    images = [Path(photograph.image) for photograph in photographs]
-    scales = exposure_scales(images, is_required=exposure == "exif")
-    return [
-        photograph.model_copy(update={"exposure_scale": scale})
-        for photograph, scale in zip(photographs, scales, strict=True)
-    ]
