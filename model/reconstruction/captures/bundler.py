@@ -17,7 +17,7 @@ import numpy as np
 from datagen.foundation.axes import affine
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
+from datagen.foundation.errors import Problem, input_error
 from model.reconstruction.captures.photograph_files import photograph_size
 from model.reconstruction.captures.posed import (
     EXPORT_AGAIN,
@@ -25,6 +25,7 @@ from model.reconstruction.captures.posed import (
     Calibration,
     ImageFinder,
     PosedImage,
+    Reading,
     head_of,
     polynomial,
     read_text,
@@ -59,34 +60,23 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
         raise input_error(path, "images", len(names), f"{num_cameras} in the list", EXPORT_AGAIN)
     folder = images or path.parent
     finder = ImageFinder(folder)
-    found: list[PosedImage] = []
-    problems: list[Problem] = []
-    missing: list[str] = []
+    reading = Reading(path)
     for name, (lens, *rows_of_rotation, translation) in zip(names, table, strict=True):
         if lens[0] == 0:
+            reading.num_unposed += 1
             continue
-        image = finder.find(name)
-        if image is None:
-            missing.append(name)
-            continue
-        try:
+        with reading.part():
+            image = finder.require(name)
             rotation = rotation_part(np.array(rows_of_rotation), path, name)
-        except InputError as error:
-            problems.extend(error.problems)
-            continue
-        width, height = photograph_size(image)
-        pose = affine(rotation.T @ np.diag([1.0, -1.0, -1.0]), -rotation.T @ translation)
-        focal = float(lens[0])
-        camera = Camera(width, height, focal, focal, 0.5 * width, 0.5 * height, pose)
-        distortion = polynomial((float(lens[1]), float(lens[2]), 0.0, 0.0), (0.0, 0.0))
-        found.append(PosedImage(name, camera, distortion))
-    problems += finder.absent(path, missing, UNSIZED)
-    if not found and not problems:
-        problems.append(Problem(path, "cameras", "none with a pose", "at least one", EXPORT_AGAIN))
-    raise_problems(problems)
-    unposed = num_cameras - len(found)
-    notes = (f"{unposed} cameras have no pose and were left out",) if unposed else ()
-    return Calibration(tuple(found), folder, notes)
+            width, height = photograph_size(image)
+            pose = affine(rotation.T @ np.diag([1.0, -1.0, -1.0]), -rotation.T @ translation)
+            focal = float(lens[0])
+            camera = Camera(width, height, focal, focal, 0.5 * width, 0.5 * height, pose)
+            distortion = polynomial((float(lens[1]), float(lens[2]), 0.0, 0.0), (0.0, 0.0))
+            reading.images.append(PosedImage(name, camera, distortion))
+    reading.problems += finder.absent(path, reading.missing, UNSIZED)
+    nothing = Problem(path, "cameras", "none with a pose", "at least one", EXPORT_AGAIN)
+    return reading.calibration(folder, nothing, "cameras have no pose and were left out")
 
 
 def _names(path: Path) -> list[str]:

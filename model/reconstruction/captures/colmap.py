@@ -19,8 +19,8 @@ from datagen.formats.capture import Distortion
 from datagen.foundation.axes import affine
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
-from model.reconstruction.captures.posed import Calibration, PosedImage, read_text
+from datagen.foundation.errors import InputError, Problem, input_error
+from model.reconstruction.captures.posed import Calibration, PosedImage, Reading, read_text
 
 MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8),
@@ -85,31 +85,23 @@ def read_colmap(folder: Path, budget: Budget) -> list[PosedImage]:
         lenses = _read_text_cameras(folder / "cameras.txt", budget)
         poses = _read_text_images(folder / "images.txt", budget)
         where, cameras = folder / "images.txt", folder / "cameras.txt"
-    problems: list[Problem] = []
-    found = []
+    reading = Reading(where)
     usable: dict[int, PosedImage | None] = {}
     for lens_id in sorted({lens_id for lens_id, _, _ in poses.values()} & set(lenses)):
-        try:
+        usable[lens_id] = None
+        with reading.part():
             usable[lens_id] = _unposed(lenses[lens_id], cameras, f"camera {lens_id}")
-        except InputError as error:
-            usable[lens_id] = None
-            problems.extend(error.problems)
     for name, (lens_id, quaternion, translation) in sorted(poses.items()):
         if lens_id not in lenses:
-            problems.append(Problem(where, name, f"camera {lens_id}", "a camera of the model", _REMEDY))
+            reading.problems.append(
+                Problem(where, name, f"camera {lens_id}", "a camera of the model", _REMEDY)
+            )
             continue
-        try:
-            lens = usable[lens_id]
-            pose = _pose(name, quaternion, translation, where)
-        except InputError as error:
-            problems.extend(error.problems)
-            continue
-        if lens is not None:
-            found.append(lens.posed(name, pose))
-    if not poses:
-        problems.append(Problem(where, "", "no images", "at least one registered image", _REMEDY))
-    raise_problems(problems)
-    return found
+        with reading.part():
+            lens, pose = usable[lens_id], _pose(name, quaternion, translation, where)
+            reading.images += [] if lens is None else [lens.posed(name, pose)]
+    nothing = Problem(where, "", "no images", "at least one registered image", _REMEDY)
+    return list(reading.calibration(folder, nothing).images)
 
 
 def _pose(name: str, quaternion: NDArray, translation: NDArray, where: Path) -> NDArray[np.float64]:

@@ -21,11 +21,12 @@ from datagen.formats.capture import Distortion
 from datagen.foundation.axes import affine
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
+from datagen.foundation.errors import Problem, input_error
 from model.reconstruction.captures.posed import (
     EXPORT_AGAIN,
     Calibration,
     PosedImage,
+    Reading,
     check_skew,
     head_of,
     numbers,
@@ -52,15 +53,13 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     if len(chunks) != 1:
         raise input_error(path, "chunk", len(chunks), "one chunk", "export the cameras of one chunk")
     chunk = chunks[0]
-    problems: list[Problem] = []
+    reading = Reading(path)
     sensors: dict[str, PosedImage | None] = {}
     for element in chunk.iterfind("sensors/sensor"):
         key = element.get("id", "")
-        try:
+        sensors[key] = None
+        with reading.part():
             sensors[key] = _sensor(element, path)
-        except InputError as error:
-            sensors[key] = None
-            problems.extend(error.problems)
     _check_local(chunk, path)
     placement = _similarity(chunk.find("transform"), path)
     components = {  # since version 1.7, separately aligned parts have separate transforms
@@ -68,33 +67,28 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
         for element in chunk.iterfind("components/component")
         if element.find("transform") is not None
     }
-    found: list[PosedImage] = []
-    unaligned = 0
     for camera in chunk.iter("camera"):
         budget.spend("frames", 1, "cameras")
         name, transform = camera.get("label", ""), camera.find("transform")
         if transform is None or camera.get("enabled") in ("false", "0"):
-            unaligned += 1
+            reading.num_unposed += 1
             continue
         key = camera.get("sensor_id", "")
         if key not in sensors:
-            problems.append(Problem(path, name, f"sensor {key}", "a sensor of the file", EXPORT_AGAIN))
+            reading.problems.append(
+                Problem(path, name, f"sensor {key}", "a sensor of the file", EXPORT_AGAIN)
+            )
         sensor = sensors.get(key)
         if sensor is None:
             continue
-        try:
+        with reading.part():
             frame = components.get(camera.get("component_id", ""), placement)
             total = frame @ numbers(transform.text, 16, path, f"{name}.transform").reshape(4, 4)
             rotation = rotation_part(total[:3, :3], path, f"{name}.transform")
-            found.append(sensor.posed(name, affine(rotation, total[:3, 3])))
-        except InputError as error:
-            problems.extend(error.problems)
-    if not found and not problems:
-        problems.append(Problem(path, "cameras", "none with a transform", "aligned cameras", EXPORT_AGAIN))
-    raise_problems(problems)
-    notes = (f"{unaligned} cameras are not aligned or not enabled, and were left out",) if unaligned else ()
+            reading.images.append(sensor.posed(name, affine(rotation, total[:3, 3])))
     folder = images or (path.parent / "images" if (path.parent / "images").is_dir() else path.parent)
-    return Calibration(tuple(found), folder, notes)
+    nothing = Problem(path, "cameras", "none with a transform", "aligned cameras", EXPORT_AGAIN)
+    return reading.calibration(folder, nothing, "cameras are not aligned or not enabled, and were left out")
 
 
 def _sensor(element: ElementTree.Element, path: Path) -> PosedImage:

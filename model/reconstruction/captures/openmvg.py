@@ -20,11 +20,12 @@ from datagen.foundation.axes import affine
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.documents import parse_json
-from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
+from datagen.foundation.errors import InputError, Problem, input_error
 from model.reconstruction.captures.posed import (
     EXPORT_AGAIN,
     Calibration,
     PosedImage,
+    Reading,
     head_of,
     polynomial,
     read_text,
@@ -51,16 +52,14 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
         expected = "views, intrinsics and extrinsics"
         raise input_error(path, "", repr(error)[:200], expected, _REMEDY) from None
     budget.spend("frames", len(views), "views")
-    found: list[PosedImage] = []
-    problems: list[Problem] = []
-    unposed = 0
+    reading = Reading(path)
     lenses: dict[Any, PosedImage | None] = {}
     for view in views:
         name = str(Path(str(view.get("local_path", ""))) / str(view.get("filename", "")))
         try:
             key = view.get("id_intrinsic")
             if view.get("id_pose") not in poses or key not in intrinsics:
-                unposed += 1
+                reading.num_unposed += 1
                 continue
             pose = _pose(name, poses[view["id_pose"]], path)
             if key not in lenses:  # a lens's fault is reported once, not once per view
@@ -68,22 +67,19 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
                 lenses[key] = _lens(intrinsics[key], path, f"intrinsics {key}")
             lens = lenses[key]
             if lens is not None:
-                found.append(lens.posed(name, pose))
+                reading.images.append(lens.posed(name, pose))
         except InputError as error:
-            problems.extend(error.problems)
+            reading.problems += error.problems
         except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
-            problems.append(Problem(path, name, repr(error)[:200], "numbers", _REMEDY))
-    if not found and not problems:
-        problems.append(Problem(path, "extrinsics", "no view has a pose", "at least one", _REMEDY))
-    raise_problems(problems)
+            reading.problems.append(Problem(path, name, repr(error)[:200], "numbers", _REMEDY))
     # root_path may be from another computer, so only its last part is used, as a folder next to the file
     name = Path(str(data.get("root_path", ""))).name
     candidates = [
         path.parent / f for f in (name, "images") if f.isprintable() and f not in ("", "..") and len(f) < 100
     ]
     folder = images or next((f for f in candidates if f.is_dir()), path.parent)
-    notes = (f"{unposed} views have no pose or lens and were left out",) if unposed else ()
-    return Calibration(tuple(found), folder, notes)
+    nothing = Problem(path, "extrinsics", "no view has a pose", "at least one", _REMEDY)
+    return reading.calibration(folder, nothing, "views have no pose or lens and were left out")
 
 
 def _payload(entry: dict[str, Any]) -> dict[str, Any]:

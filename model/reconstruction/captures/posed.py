@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +23,7 @@ from datagen.formats.capture import Distortion
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.documents import parse_xml
-from datagen.foundation.errors import Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.paths import fault_of
 from model.reconstruction.captures.photograph_files import (
     KNOWN_SUFFIXES,
@@ -136,6 +137,36 @@ class ImageFinder:
                 for key in {path.name.lower(), path.stem.lower()}:
                     found.setdefault(key, []).append(image)
         return found
+
+
+class Reading:
+    """Collects the images of a calibration ``where``, and all of its faults."""
+
+    def __init__(self, where: Path):
+        self.where = where
+        self.images: list[PosedImage] = []
+        self.problems: list[Problem] = []
+        self.missing: list[str] = []
+        self.num_unposed = 0
+
+    @contextmanager
+    def part(self) -> Iterator[None]:
+        """Context in which a part is read; its faults are collected."""
+        try:
+            yield
+        except ImageMissing as error:
+            self.missing.append(str(error))
+        except InputError as error:
+            self.problems += error.problems
+
+    def calibration(self, folder: Path, nothing: Problem, unposed: str = "") -> Calibration:
+        """Return the images, with a note ``unposed`` on the number of others.
+
+        Raises :class:`InputError` with all faults, or with ``nothing`` if there are no images either.
+        """
+        raise_problems(self.problems or ([] if self.images else [nothing]))
+        notes = (f"{self.num_unposed} {unposed}",) if self.num_unposed else ()
+        return Calibration(tuple(self.images), folder, notes)
 
 
 def read_text(path: Path) -> str:

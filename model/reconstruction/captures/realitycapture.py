@@ -25,15 +25,15 @@ from datagen.formats.capture import Distortion
 from datagen.foundation.axes import affine
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
+from datagen.foundation.errors import Problem, input_error
 from model.reconstruction.captures.photograph_files import photograph_size
 from model.reconstruction.captures.posed import (
     EXPORT_AGAIN,
     UNSIZED,
     Calibration,
     ImageFinder,
-    ImageMissing,
     PosedImage,
+    Reading,
     check_skew,
     head_of,
     numbers,
@@ -82,9 +82,7 @@ def read_csv(path: Path, images: Path | None, budget: Budget) -> Calibration:
         raise input_error(path, "header", text[:60], f"columns {', '.join(_NEEDED)}", EXPORT_AGAIN)
     folder = images or (path.parent / "images" if (path.parent / "images").is_dir() else path.parent)
     finder = ImageFinder(folder)
-    found: list[PosedImage] = []
-    problems: list[Problem] = []
-    missing: list[str] = []
+    reading = Reading(path)
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     budget.spend("frames", len(lines), "rows")
     try:
@@ -94,17 +92,12 @@ def read_csv(path: Path, images: Path | None, budget: Budget) -> Calibration:
     for number, row in enumerate(rows, start=1):
         if [word.strip().lower() for word in row] == names:
             continue
-        try:
-            found.append(_from_row(dict(zip(names, row, strict=False)), path, f"row {number}", finder))
-        except ImageMissing as error:
-            missing.append(str(error))
-        except InputError as error:
-            problems.extend(error.problems)
-    problems += finder.absent(path, missing, UNSIZED)
-    if not found and not problems:
-        problems.append(Problem(path, "", "no cameras", "one row per camera", EXPORT_AGAIN))
-    raise_problems(problems)
-    return Calibration(tuple(found), folder)
+        with reading.part():
+            values = dict(zip(names, row, strict=False))
+            reading.images.append(_from_row(values, path, f"row {number}", finder))
+    reading.problems += finder.absent(path, reading.missing, UNSIZED)
+    nothing = Problem(path, "", "no cameras", "one row per camera", EXPORT_AGAIN)
+    return reading.calibration(folder, nothing)
 
 
 def _from_row(row: Mapping[str, str], path: Path, field: str, finder: ImageFinder) -> PosedImage:
@@ -160,30 +153,17 @@ def read_xmp(folder: Path, images: Path | None, budget: Budget) -> Calibration:
     """
     images = images or folder
     finder = ImageFinder(images)
-    found: list[PosedImage] = []
-    problems: list[Problem] = []
-    missing: list[str] = []
-    unposed = 0
+    reading = Reading(folder)
     for path in sorted(folder.glob("*.xmp")):
         budget.spend("frames", 1, path.name)
-        try:
+        with reading.part():
             posed = _from_sidecar(path, finder, Budget(path, budget.limits))
-        except ImageMissing as error:
-            missing.append(str(error))
-            continue
-        except InputError as error:
-            problems.extend(error.problems)
-            continue
-        unposed += posed is None
-        if posed is not None:
-            found.append(posed)
-    problems += finder.absent(folder, missing, UNSIZED)
-    if not found and not problems:
-        expected = "XMP files with Rotation and Position"
-        problems.append(Problem(folder, "", "no poses", expected, "export them after the alignment"))
-    raise_problems(problems)
-    notes = (f"{unposed} XMP files have no pose and were left out",) if unposed else ()
-    return Calibration(tuple(found), images, notes)
+            reading.num_unposed += posed is None
+            reading.images += [] if posed is None else [posed]
+    reading.problems += finder.absent(folder, reading.missing, UNSIZED)
+    expected = "XMP files with Rotation and Position"
+    nothing = Problem(folder, "", "no poses", expected, "export them after the alignment")
+    return reading.calibration(images, nothing, "XMP files have no pose and were left out")
 
 
 def _from_sidecar(path: Path, finder: ImageFinder, budget: Budget) -> PosedImage | None:

@@ -19,13 +19,14 @@ from datagen.foundation.axes import affine
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.documents import parse_json
-from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
+from datagen.foundation.errors import Problem, input_error, raise_problems
 from model.reconstruction.captures.photograph_files import photograph_size
 from model.reconstruction.captures.posed import (
     Calibration,
     ImageFinder,
     ImageMissing,
     PosedImage,
+    Reading,
     read_text,
     rotation_part,
 )
@@ -62,22 +63,19 @@ def read_transforms(path: Path, budget: Budget, folder: Path | None = None) -> l
             path, "frames", repr(frames)[:80], "a list of at least one frame", "export it again"
         )
     budget.spend("frames", len(frames), "frames")
-    found: list[PosedImage] = []
-    problems: list[Problem] = []
-    missing: list[str] = []
+    reading = Reading(path)
     for index, frame in enumerate(frames):
         try:
-            found.append(_posed({**data, **frame}, path, f"frames[{index}]", finders))
-        except ImageMissing as error:
-            missing.append(str(error))
-        except InputError as error:
-            problems.extend(error.problems)
+            with reading.part():
+                reading.images.append(_posed({**data, **frame}, path, f"frames[{index}]", finders))
         except (TypeError, ValueError, OverflowError) as error:
-            problems.append(Problem(path, f"frames[{index}]", str(error), "numbers", "export it again"))
+            reading.problems.append(
+                Problem(path, f"frames[{index}]", str(error), "numbers", "export it again")
+            )
     remedy = "put the images beside the file, or name their folder with --images"
-    problems += finders[-1].absent(path, missing, remedy)
-    raise_problems(problems)
-    return found
+    reading.problems += finders[-1].absent(path, reading.missing, remedy)
+    raise_problems(reading.problems)
+    return reading.images
 
 
 def _posed(values: dict[str, Any], path: Path, field: str, finders: Sequence[ImageFinder]) -> PosedImage:
