@@ -38,7 +38,7 @@ from model.reconstruction.captures.read import read_capture
 from model.reconstruction.infer_options import InferOptions, InferReport
 from model.reconstruction.light.map_stage import lit
 from model.reconstruction.light.options import LightOptions
-from model.reconstruction.mesh.stage import mended_mesh
+from model.reconstruction.mesh.smoothing import mended_mesh
 from model.reconstruction.predict.sources import CheckpointMaps
 from model.reconstruction.radiometry.completed import completed
 from model.reconstruction.stages import Estimate, Maps, Run

@@ -45,8 +45,7 @@ from model.reconstruction.merge.merger import MapMerger, MergeOptions, map_views
 from model.reconstruction.merge.weights import Weights
 from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
 from model.reconstruction.stages import Estimate, Run
-from model.reconstruction.unwrap.repacked import repacked
-from model.reconstruction.unwrap.size import atlas_size, pixel_density
+from model.reconstruction.unwrap.repacked import atlas_size, pixel_density, repacked
 from model.reconstruction.unwrap.uv import unwrapped
 
 WEIGHTS: tuple[Weights, ...] = ("none", "borders", "resolution", "confidence")

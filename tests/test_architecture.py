@@ -87,8 +87,8 @@ MATRIX = {
         "model.reconstruction.unwrap",
         "model.reconstruction.export": f"{_GROUND} {_ATLAS} datagen.multiview.compiled mitsuba_plugins "
         "model.reconstruction.found_lights",
-        "model.reconstruction.report_page": "datagen.foundation model.reconstruction.infer_options "
-        "model.reconstruction.stages",
+        "model.reconstruction.report_page": "datagen.foundation model.reconstruction.found_lights "
+        "model.reconstruction.infer_options model.reconstruction.stages",
         "model.reconstruction.atlas_page": f"{_GROUND} model.reconstruction.export",
         "model.reconstruction.render": f"{_LIBRARY} datagen.rendering model.reconstruction.atlas_page",
         "model.reconstruction.infer_options": "datagen.foundation model.reconstruction.merge "

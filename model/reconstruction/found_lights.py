@@ -134,16 +134,12 @@ class FoundLights:
         sun = self.sun
         if sun is not None:
             sun = replace(sun, irradiance=_product(sun.irradiance, gains.get(SUN)))
-        return FoundLights(
-            tuple(
-                replace(lamp, radiance=_product(lamp.radiance, gains.get(lamp.slot))) for lamp in self.lamps
-            ),
-            tuple(patch.times(gains.get(patch.slot)) for patch in self.panels),
-            tuple(patch.times(gains.get(patch.slot)) for patch in self.windows),
-            sky,
-            self.holes,
-            sun,
+        lamps = (replace(lamp, radiance=_product(lamp.radiance, gains.get(lamp.slot))) for lamp in self.lamps)
+        panels, windows = (
+            tuple(patch.times(gains.get(patch.slot)) for patch in patches)
+            for patches in (self.panels, self.windows)
         )
+        return FoundLights(tuple(lamps), panels, windows, sky, self.holes, sun)
 
     @property
     def sending(self) -> tuple[FoundPatch, ...]:
@@ -207,6 +203,15 @@ def _rounded(values: Any, digits: int) -> list[float]:
     return [round(float(value), digits) for value in values]
 
 
+def light_cells(row: dict[str, Any]) -> tuple[str, str, str, str, str]:
+    """Format place, area, radiance (irradiance of the sun), power and gain of a row; '' for missing ones."""
+    emission = row.get("radiance") or row["irradiance"]
+    colors = (emission, row.get("power", ()), row.get("gain", ()))
+    radiance, power, gain = (" ".join(f"{v:.3g}" for v in values) for values in colors)
+    place = " ".join(f"{v:.2f}" for v in row.get("place_m", ()))
+    return place, f"{row['area_m2']:.3f}" if "area_m2" in row else "", radiance, power, gain
+
+
 def lights_text(rows: list[dict[str, Any]]) -> str:
     """Format the rows of :meth:`FoundLights.described` and their optional ``gain`` as a text table."""
     if not rows:
@@ -216,16 +221,7 @@ def lights_text(rows: list[dict[str, Any]]) -> str:
         f"{'gain (R G B)':>20}"
     ]
     for row in rows:
-        place = " ".join(f"{v:.2f}" for v in row["place_m"]) if "place_m" in row else ""
-        area = f"{row['area_m2']:.3f}" if "area_m2" in row else ""
-        radiance, power, gain = (
-            " ".join(f"{v:.3g}" for v in values)
-            for values in (
-                row.get("radiance") or row["irradiance"],
-                row.get("power", ()),
-                row.get("gain", ()),
-            )
-        )
+        place, area, radiance, power, gain = light_cells(row)
         lines.append(f"{row['slot']:<12}{place:>20}{area:>11}{radiance:>24}{power:>24}{gain:>20}")
     if any("irradiance" in row for row in rows):
         lines.append("sun: irradiance of a surface that faces it instead of radiance")

@@ -36,8 +36,7 @@ from datagen.geometry.views import TracedCapture, trace_capture, visible_faces
 from datagen.multiview.visibility import VisibilityOptions
 from mitsuba_plugins.variant import select_variant
 from model.reconstruction.albedo_level import leveled
-from model.reconstruction.atlas.atlas import Atlas, empty_atlas
-from model.reconstruction.atlas.confidence import put_confidence
+from model.reconstruction.atlas.atlas import Atlas, empty_atlas, put_confidence
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.check.capture_check import check_traced, view_warnings
 from model.reconstruction.export.asset import write_asset
@@ -51,13 +50,12 @@ from model.reconstruction.infer_options import InferOptions, InferReport, Progre
 from model.reconstruction.light.map_stage import lit
 from model.reconstruction.merge.fill import fill_unseen
 from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions, map_views
-from model.reconstruction.mesh.stage import mended_mesh
+from model.reconstruction.mesh.smoothing import mended_mesh
 from model.reconstruction.poses import mended
 from model.reconstruction.radiometry.completed import completed
 from model.reconstruction.report_page import report_html
 from model.reconstruction.stages import Estimate, Found, MapSource, MapStage, Run
-from model.reconstruction.unwrap.repacked import repacked
-from model.reconstruction.unwrap.size import PixelDensity, atlas_size, pixel_density
+from model.reconstruction.unwrap.repacked import PixelDensity, atlas_size, pixel_density, repacked
 from model.reconstruction.unwrap.uv import unwrapped
 
 __all__ = ["InferOptions", "InferReport", "infer"]
@@ -84,31 +82,6 @@ class FinalViews:
     found: Found
 
 
-@dataclass(frozen=True)
-class PackedMaps:
-    """The views' maps in the merger's arrays, and the unwrapped ``mesh``.
-
-    ``normals`` (M, 3) are the triangles' unit normals; ``size`` is the side of the atlas in texels;
-    ``can_be_seen`` is as in :class:`FinalViews`.
-    """
-
-    merger: MapMerger
-    mesh: Mesh
-    normals: NDArray[np.float32]
-    size: int
-    can_be_seen: NDArray[np.bool_]
-    found: Found
-
-
-@dataclass(frozen=True)
-class Merged:
-    """The atlas, its mesh, and the results of earlier stages in addition to maps."""
-
-    atlas: Atlas
-    mesh: Mesh
-    found: Found
-
-
 def infer(
     capture: Capture,
     out: Path,
@@ -132,11 +105,12 @@ def infer(
         if run.options.mends_mesh:
             capture = mended_mesh(capture, run)
         with ExitStack() as files:
-            merged = _merged(_packed(_final_views(capture, source, run), run), run, files)
+            atlas, mesh, found = _merged(capture, source, run, files)
             with run.stage("fill") as advance:
-                fill_unseen(merged.atlas, merged.mesh, advance)
-            _export(capture, merged, run)
-        write_bytes_atomically(out / "report.html", report_html(report, merged.found.pictures).encode())
+                fill_unseen(atlas, mesh, advance)
+            capture = replace(capture, geometry=CaptureGeometry(mesh, capture.geometry.parts))
+            _export(Reconstruction(capture, mesh, atlas, out / "atlas", found.lights), found, run)
+        write_bytes_atomically(out / "report.html", report_html(report, found.pictures).encode())
         write_bytes_atomically(out / "report.json", canonical_json(asdict(report)))
     except OSError as error:
         if error.filename is None and error.errno:  # the error of a full disk does not name the file
@@ -218,8 +192,8 @@ def _check(traced: TracedCapture, run: Run) -> None:
     run.report.warnings += found.all_warnings
 
 
-def _packed(final: FinalViews, run: Run) -> PackedMaps:
-    """Unwrap the mesh, and pack the views' maps for the merge."""
+def _packed(final: FinalViews, run: Run) -> tuple[MapMerger, Mesh, TexelSurface]:
+    """Unwrap the mesh, and pack the views' maps for the merge; return the mesh and its texels too."""
     report, options = run.report, run.options
     with run.stage("unwrap") as advance:
         mesh, unwrap = unwrapped(final.geometry.mesh, advance)
@@ -238,24 +212,28 @@ def _packed(final: FinalViews, run: Run) -> PackedMaps:
         )
         scene = final.geometry.scene if options.visibility == "trace" else None
         merger = MapMerger(final.views, merge_options, scene, smooth_regions(final.geometry.mesh))
-        normals = face_normals(mesh, final.sides)
-        packed = PackedMaps(merger, mesh, normals, size, final.can_be_seen, final.found)
+        surface = TexelSurface(mesh, face_normals(mesh, final.sides), size)
     run.tell("pack", 1, 1)
-    return packed
+    return merger, mesh, surface
 
 
-def _merged(packed: PackedMaps, run: Run, files: ExitStack) -> Merged:
-    """Merge the maps in an atlas, in memory or in files that exist until ``files`` is closed."""
-    confidence_at = packed.found.confidence_at
-    memory = _atlas_memory(packed.size, run.out, has_confidence=confidence_at is not None)
+def _merged(capture: Capture, source: MapSource, run: Run, files: ExitStack) -> tuple[Atlas, Mesh, Found]:
+    """Merge the maps in an atlas, in memory or in files that exist until ``files`` is closed.
+
+    Also return the unwrapped mesh, and the results of earlier stages in addition to maps.
+    """
+    final = _final_views(capture, source, run)
+    merger, mesh, surface = _packed(final, run)
+    can_be_seen, found = final.can_be_seen, final.found
+    del final  # frees the maps
+    memory = _atlas_memory(surface.size, run.out, has_confidence=found.confidence_at is not None)
     atlas = files.enter_context(memory)
     with run.stage("merge") as advance:
-        surface = TexelSurface(packed.mesh, packed.normals, packed.size)
-        packed.merger.merge(surface, atlas, advance)
-        if confidence_at is not None:
-            put_confidence(atlas, surface, confidence_at)
-        run.report.seen_share, run.report.seen_of_visible = _seen_share(atlas, packed.can_be_seen)
-    return Merged(atlas, packed.mesh, packed.found)
+        merger.merge(surface, atlas, advance)
+        if found.confidence_at is not None:
+            put_confidence(atlas, surface, found.confidence_at)
+        run.report.seen_share, run.report.seen_of_visible = _seen_share(atlas, can_be_seen)
+    return atlas, mesh, found
 
 
 @contextmanager
@@ -296,23 +274,23 @@ def _balanced(reconstruction: Reconstruction, found: Found, run: Run) -> Reconst
     return replace(reconstruction, lights=balance.lights)
 
 
-def _export(capture: Capture, merged: Merged, run: Run) -> None:
-    out, mesh, found = run.out, merged.mesh, merged.found
-    capture = replace(capture, geometry=CaptureGeometry(mesh, capture.geometry.parts))
-    reconstruction = Reconstruction(capture, mesh, merged.atlas, out / "atlas", found.lights)
+def _export(reconstruction: Reconstruction, found: Found, run: Run) -> None:
+    out, name = run.out, reconstruction.capture.name
     with run.stage("images") as advance:
-        write_atlas_images(out / "atlas", merged.atlas, has_exr=run.options.has_exr, progress=advance)
+        write_atlas_images(
+            reconstruction.images, reconstruction.atlas, has_exr=run.options.has_exr, progress=advance
+        )
     reconstruction = _balanced(reconstruction, found, run)
     with run.stage("export") as advance:
-        asset_id = f"{capture.name[:MAX_NAME]}-reconstruction"
+        asset_id = f"{name[:MAX_NAME]}-reconstruction"
         write_asset(out / "asset", reconstruction, asset_id).close()
         advance(1, 4)
-        glb = out / f"{capture.name}.glb"
+        glb = out / f"{name}.glb"
         error = write_glb(glb, reconstruction, has_punctual=run.options.has_punctual)
         advance(2, 4)
         write_mitsuba_scene(out / "mitsuba", reconstruction)
         advance(3, 4)
-        usdz = out / f"{capture.name}.usdz"
+        usdz = out / f"{name}.usdz"
         if run.options.has_usd:
             write_usdz(usdz, reconstruction)
         else:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from datagen.foundation.color import cividis, srgb_from_linear
 from datagen.foundation.images import encode_png
+from model.reconstruction.found_lights import light_cells
 from model.reconstruction.infer_options import InferReport
 from model.reconstruction.stages import ViewPicture
 
@@ -60,15 +61,11 @@ def _lights(light: dict[str, Any]) -> str:
         return ""
     rows = []
     for row in light["lights"]:
-        emission = row.get("radiance") or row["irradiance"]
-        color = np.array(emission)
+        color = np.array(row.get("radiance") or row["irradiance"])
         shown = np.round(255 * srgb_from_linear(color / max(float(color.max()), 1e-12))).astype(int)
         swatch = f'<i style="background:rgb({",".join(map(str, shown))})"></i>'
-        area = f"{row['area_m2']:.3f}" if "area_m2" in row else ""
-        numbers = [_numbers(row.get("place_m", ()), 2), area]
-        numbers += [_numbers(values, 3) for values in (emission, row.get("power", ()), row.get("gain", ()))]
         name = f"{html.escape(row['slot'])} {swatch}"
-        rows.append((name, KINDS[row["kind"]], *numbers))
+        rows.append((name, KINDS[row["kind"]], *light_cells(row)))
     heads = ("light", "kind", "middle x y z (m)", "area (m2)", "radiance R G B", "power R G B", "gain R G B")
     found = _table(heads, rows) if rows else "<p>None was found.</p>"
     return (
@@ -77,10 +74,6 @@ def _lights(light: dict[str, Any]) -> str:
         "surface that faces it instead of radiance. The exports contain these lights "
         f"times the gain, which makes the asset as bright as the photographs.</p>{found}"
     )
-
-
-def _numbers(values: Iterable[float], digits: int) -> str:
-    return " ".join(f"{value:.{digits}f}" if digits == 2 else f"{value:.3g}" for value in values)
 
 
 def _confidence(light: dict[str, Any], pictures: Sequence[ViewPicture]) -> str:

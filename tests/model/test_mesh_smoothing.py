@@ -16,8 +16,7 @@ from datagen.foundation.meshes.mesh import Mesh, area_vectors
 from model.evaluation.mesh_errors import GeometryError, with_errors
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.infer_options import InferReport
-from model.reconstruction.mesh.smoothing import noise_deg, smoothed
-from model.reconstruction.mesh.stage import mended_mesh
+from model.reconstruction.mesh.smoothing import mended_mesh, noise_deg, smoothed
 from model.reconstruction.predict.sources import TRUTH
 from model.reconstruction.stages import Run
 from oracles.textured_room import room_capture

@@ -21,7 +21,7 @@ from model.reconstruction.export.atlas_images import map_bytes, write_atlas_imag
 from model.reconstruction.merge import fill
 from model.reconstruction.merge.fill import fill_unseen, nearest_labels, typical_values
 from model.reconstruction.unwrap.charts import chart_of_faces
-from model.reconstruction.unwrap.size import atlas_size, pixel_density
+from model.reconstruction.unwrap.repacked import atlas_size, pixel_density
 from oracles.textured_room import geometry_of, room_mesh
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")

@@ -7,10 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh
-from model.reconstruction.unwrap.charts import uv_areas
-from model.reconstruction.unwrap.packing import PACK_SIZE
-from model.reconstruction.unwrap.repacked import MAX_REDUCTION, repacked
-from model.reconstruction.unwrap.size import PixelDensity
+from model.reconstruction.unwrap.charts import PACK_SIZE, uv_areas
+from model.reconstruction.unwrap.repacked import MAX_REDUCTION, PixelDensity, repacked
 from model.reconstruction.unwrap.uv import UvReport, own_uv_fault
 
 DENSITY = 100.0

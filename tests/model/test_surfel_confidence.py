@@ -10,8 +10,7 @@ import pytest
 
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.light.surfels import NUM_SIDES, CellGrid, cell_of
-from model.reconstruction.atlas.atlas import empty_atlas
-from model.reconstruction.atlas.confidence import put_confidence
+from model.reconstruction.atlas.atlas import empty_atlas, put_confidence
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.light.confidence import SurfelConfidence
 

@@ -4,6 +4,9 @@
 from __future__ import annotations
 
 import mmap
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
@@ -13,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.buffers import BUFFERS, MATERIAL_MAPS
+from datagen.multiview.compiled import num_threads
+from model.reconstruction.atlas.texels import TexelSurface
 
 MAP_CHANNELS = {name: BUFFERS[name].num_channels for name in MATERIAL_MAPS}
 """Number of channels of each merged map, in the order in which maps are packed."""
@@ -22,6 +27,10 @@ MAP_COLUMNS = {
 }
 """Columns of each map where the maps are packed."""
 ATLAS_DTYPE = np.float16
+ConfidenceAt = Callable[[NDArray, NDArray], NDArray[np.uint8]]
+"""Function from points and normals (..., 3) to the confidence (..., 3) of D, S and R, 0 to 255."""
+TILE = 512
+"""Side in texels of the squares that are processed at once."""
 
 
 @dataclass(frozen=True)
@@ -75,3 +84,23 @@ def empty_atlas(size: int, folder: Path | None = None, *, has_confidence: bool =
     arrays["face"][...] = -1
     maps = {name: arrays[name] for name in MAP_CHANNELS}
     return Atlas(maps, arrays["count"], arrays["face"], arrays.get("confidence"))
+
+
+def put_confidence(atlas: Atlas, surface: TexelSurface, confidence_at: ConfidenceAt) -> None:
+    """Set ``confidence`` of the atlas at observed texels. Raises :class:`ValueError` if it is None."""
+    target = atlas.confidence
+    if target is None:
+        raise ValueError("expected an atlas with confidence")
+
+    def put(top: int) -> None:
+        for left in range(0, atlas.size, TILE):
+            window = (slice(top, top + TILE), slice(left, left + TILE))
+            face, seen = atlas.face[window], atlas.count[window] > 0
+            if seen.any():
+                points, normals = surface.points(np.ascontiguousarray(face), left, top)
+                target[window][seen] = confidence_at(points[seen], normals[seen])
+
+    tops = range(0, atlas.size, TILE)
+    with ThreadPoolExecutor(num_threads()) as pool:
+        deque(pool.map(put, tops), maxlen=0)
+    atlas.release()

@@ -36,10 +36,10 @@ class TexelSurface:
         self.uv = np.ascontiguousarray(mesh.uv, np.float32)
         num_bins = -(-size // BIN)
         starts = np.zeros(num_bins * num_bins + 1, np.int64)
-        _count_bins(self.uv, self.vertices, size, num_bins, starts)
+        _add_to_bins(self.uv, self.vertices, size, num_bins, starts[1:], np.empty(0, np.int32))
         np.cumsum(starts, out=starts)
         members = np.empty(starts[-1], np.int32)
-        _fill_bins(self.uv, self.vertices, size, num_bins, starts[:-1].copy(), members)
+        _add_to_bins(self.uv, self.vertices, size, num_bins, starts[:-1].copy(), members)
         self._bins = (starts, members, num_bins)
 
     def faces(
@@ -106,21 +106,16 @@ def _face_bins(uv: Any, vertices: Any, face: Any, size: Any, num_bins: Any) -> A
 
 
 @compiled
-def _count_bins(uv: Any, vertices: Any, size: Any, num_bins: Any, counts: Any) -> None:
-    for face in range(len(vertices)):
-        first_x, last_x, first_y, last_y = _face_bins(uv, vertices, face, size, num_bins)
-        for row in range(first_y, last_y + 1):
-            for column in range(first_x, last_x + 1):
-                counts[row * num_bins + column + 1] += 1
-
-
-@compiled
-def _fill_bins(uv: Any, vertices: Any, size: Any, num_bins: Any, ends: Any, members: Any) -> None:
+def _add_to_bins(uv: Any, vertices: Any, size: Any, num_bins: Any, ends: Any, members: Any) -> None:
+    """Append the triangles to their bins, which end at ``ends`` in ``members``; if that is empty, only
+    advance ``ends``.
+    """
     for face in range(len(vertices)):  # in ascending order, which also holds within each bin
         first_x, last_x, first_y, last_y = _face_bins(uv, vertices, face, size, num_bins)
         for row in range(first_y, last_y + 1):
             for column in range(first_x, last_x + 1):
-                members[ends[row * num_bins + column]] = face
+                if len(members):
+                    members[ends[row * num_bins + column]] = face
                 ends[row * num_bins + column] += 1
 
 

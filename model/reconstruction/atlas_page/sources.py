@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset
 from datagen.formats.lights import AreaLight, Light, PointLight, SphereLight
-from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.meshes.mesh import Mesh, area_vectors
 
 MAX_SOURCES = 8
 """Maximum number of sources, which equals the value in ``page/shadows.js``."""
@@ -105,8 +105,8 @@ def _of_light(light: Light) -> Source | None:
 
 
 def _of_mesh(mesh: Mesh, radiance: NDArray[np.float64]) -> Source:
-    corners = mesh.positions[mesh.faces].astype(np.float64)
-    vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    corners = mesh.triangles()
+    vectors = 0.5 * area_vectors(corners)
     areas = np.linalg.norm(vectors, axis=1)
     total = float(areas.sum())
     middles = corners.mean(axis=1)

@@ -1,12 +1,21 @@
 # SPDX-License-Identifier: MIT
-"""Connected pieces of a mesh, on its surface and in its UVs, and areas in UVs."""
+"""Connected pieces of a mesh, on its surface and in its UVs (charts), and the packing of charts."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh, compacted, welded
+
+PACK_SIZE = 2048
+PADDING = 2
+"""Texels between charts in an atlas of about :data:`PACK_SIZE`."""
+_EXPECTED_COVERAGE = 0.7
+_TRIALS = (1.0, 0.96, 1.04)
+"""Factors of the size in texels. Sides of the packed rectangle differ by up to a fifth, by chance."""
 
 
 def chart_of_faces(mesh: Mesh) -> NDArray[np.int32]:
@@ -36,3 +45,69 @@ def _pieces(corners: NDArray) -> NDArray[np.int32]:
     first, second = corners[:, :2].ravel(), corners[:, 1:].ravel()
     graph = coo_array((np.ones(len(first), np.int32), (first, second)), shape=(num, num))
     return connected_components(graph, directed=False)[1][corners[:, 0]].astype(np.int32)
+
+
+def packed(mesh: Mesh, chart: NDArray) -> tuple[Mesh, float]:
+    """Return ``mesh`` with its charts packed by xatlas, and the side of the unit square in units of its UVs.
+
+    ``mesh.uv`` has each chart at its scale, in any place; ``chart`` (M,) is that of each triangle. Charts
+    are rotated and mirrored, and stretched to whole texels, so that the narrowest are a texel wide.
+    """
+    assert mesh.uv is not None
+    uv = mesh.uv.astype(np.float64)
+    chart = np.unique(chart, return_inverse=True)[1].astype(np.uint32)
+    of_vertex = np.zeros(len(uv), np.int64)
+    of_vertex[mesh.faces] = chart[:, None]
+    low, high = np.full((int(chart.max()) + 1, 2), np.inf), np.full((int(chart.max()) + 1, 2), -np.inf)
+    np.minimum.at(low, np.repeat(chart, 3), uv[mesh.faces].reshape(-1, 2))
+    np.maximum.at(high, np.repeat(chart, 3), uv[mesh.faces].reshape(-1, 2))
+    texel = max(np.sqrt(uv_areas(mesh).sum() / _EXPECTED_COVERAGE), 1e-30) / PACK_SIZE
+    uv = (uv - low[of_vertex]) / texel + _apart((high - low) / texel)[of_vertex]
+    layouts = [(factor, *_placed(factor * uv, mesh.faces, chart)) for factor in _TRIALS]
+    factor, placed, side = min(layouts, key=lambda layout: layout[2] / layout[0])
+    return replace(mesh, uv=placed.astype(np.float32)), side * texel / factor
+
+
+def _apart(sizes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return corners (K, 2) of disjoint boxes of ``sizes`` (K, 2) in rows, since xatlas joins charts where
+    they have equal UVs.
+    """
+    order = np.argsort(-sizes[:, 1], kind="stable")
+    width, height = (sizes[order] + 1).T
+    starts = np.cumsum(width) - width
+    row = np.unique((starts / np.sqrt((width * height).sum())).astype(np.int64), return_inverse=True)[1]
+    first = np.searchsorted(row, np.arange(row[-1] + 1))
+    tops = np.cumsum(np.concatenate([[0.0], height[first[:-1]]]))
+    places = np.empty_like(sizes)
+    places[order] = np.stack([starts - starts[first][row], tops[row]], axis=1)
+    return places
+
+
+def _placed(
+    uv: NDArray[np.float64], faces: NDArray, chart: NDArray[np.uint32]
+) -> tuple[NDArray[np.float64], float]:
+    """Pack charts whose ``uv`` (N, 2) are in texels; return UVs in the unit square and its side in texels."""
+    import xatlas
+
+    atlas = xatlas.Atlas()
+    atlas.add_uv_mesh(uv.astype(np.float32), faces.astype(np.uint32), chart[:, None])
+    options = xatlas.PackOptions()
+    options.texels_per_unit, options.padding, options.bilinear = 1.0, PADDING, True
+    atlas.generate(xatlas.ChartOptions(), options)
+    if atlas.atlas_count != 1:
+        raise RuntimeError(f"xatlas made {atlas.atlas_count} atlases of one mesh")
+    source, _, placed = atlas.get_mesh(0)
+    side = float(max(atlas.width, atlas.height))
+    made = np.full(uv.shape, np.nan)
+    is_placed = atlas.get_mesh_vertex_assignment(0)[0] == 0
+    made[source[is_placed]] = placed[is_placed] * [atlas.width / side, atlas.height / side]
+    return _collapsed(made, faces), side
+
+
+def _collapsed(uv: NDArray[np.float64], faces: NDArray) -> NDArray[np.float64]:
+    """Replace NaN: vertices of triangles without area, which xatlas omits, get a UV of their triangle."""
+    for face in faces[np.isnan(uv[faces, 0]).any(axis=1)]:
+        sound = face[~np.isnan(uv[face, 0])]
+        missing = face[np.isnan(uv[face, 0])]
+        uv[missing] = uv[sound[0]] if len(sound) else 0.0
+    return np.nan_to_num(uv)

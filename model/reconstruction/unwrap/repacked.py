@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scales an unwrap's charts to the pixels that show them.
+"""Chooses the atlas size, and scales an unwrap's charts, for texels as fine as the pixels that show them.
 
 A lawn outside the windows may be twenty times as large as the room, so at one scale for all charts most
 texels would show what no photograph does. Charts therefore get as many texels per metre as views have pixels,
@@ -8,17 +8,23 @@ and large unphotographed ones fewer, unless this saves little.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.mesh import Mesh
-from model.reconstruction.unwrap.charts import chart_of_faces, uv_areas
-from model.reconstruction.unwrap.packing import packed
-from model.reconstruction.unwrap.size import FINE_QUANTILE, PixelDensity
+from datagen.geometry.traced import ViewGeometry
+from model.reconstruction.unwrap.charts import chart_of_faces, packed, uv_areas
 from model.reconstruction.unwrap.uv import UvReport, padding_texels
 
+MIN_SIZE, MAX_SIZE = 256, 16384
+MAX_PIXELS = 20_000
+FINE_QUANTILE = 0.9
+"""Quantile of pixels per metre that counts as fine."""
+_GRAZING_COSINE = 0.1  # bounds the footprints of grazing views
 MAX_REDUCTION = 8.0
 """Ratio of the finest texels per metre to those of unphotographed charts."""
 SMALL_SIDE = 64.0
@@ -26,6 +32,43 @@ SMALL_SIDE = 64.0
 MAX_SIDE_RATIO = 0.8
 """Maximum ratio of the atlas sides after and before, for equal texels on the finest charts, at which the
 mesh's own charts are repacked."""
+
+
+@dataclass(frozen=True)
+class PixelDensity:
+    """Samples of the views' pixels on the surface: the ``face`` (K,) that a pixel shows, and the pixels per
+    metre there (K,), f sqrt(cos) / z, with focal length f in pixels, cosine of the angle of incidence and
+    depth z.
+    """
+
+    face: NDArray[np.int32]
+    per_m: NDArray[np.float64]
+
+    @property
+    def footprint_m(self) -> float | None:
+        """Side of a fine pixel's footprint on the surface in metres; None if no surface is visible."""
+        return float(1 / np.quantile(self.per_m, FINE_QUANTILE)) if len(self.per_m) else None
+
+
+def pixel_density(views: Iterable[tuple[Camera, ViewGeometry]]) -> PixelDensity:
+    """Sample up to :data:`MAX_PIXELS` pixels of each view."""
+    faces, densities = [np.zeros(0, np.int32)], [np.zeros(0)]
+    for camera, view in views:
+        step = max(1, view.face.size // MAX_PIXELS)
+        z = view.depth_z_m.ravel()[::step].astype(np.float64)
+        cosine = view.cosine(camera).ravel()[::step]
+        hit = z > 0
+        focal = np.sqrt(camera.fx_px * camera.fy_px)
+        faces.append(view.face.ravel()[::step][hit])
+        densities.append(focal * np.sqrt(np.maximum(cosine[hit], _GRAZING_COSINE)) / z[hit])
+    return PixelDensity(np.concatenate(faces), np.concatenate(densities))
+
+
+def atlas_size(footprint_m: float | None, metres_per_side: float) -> int:
+    """Compute the side in texels, a multiple of 256 in [256, 16384], for texels of ``footprint_m``."""
+    if footprint_m is None:
+        return MIN_SIZE
+    return int(np.clip(np.ceil(metres_per_side / footprint_m / 256) * 256, MIN_SIZE, MAX_SIZE))
 
 
 def repacked(mesh: Mesh, report: UvReport, density: PixelDensity) -> tuple[Mesh, UvReport]:

@@ -2,7 +2,7 @@
 """Makes UVs for an atlas: those of the mesh if they are a valid unwrap, else new ones.
 
 UVs are valid if all are inside the unit square, none is missing and no two triangles overlap. New ones are
-planar charts of one scale (``planar``), packed by xatlas (``packing``).
+planar charts of one scale (``planar``), packed by xatlas (``charts.packed``).
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from datagen.foundation.meshes.mesh import Mesh, compacted
 from datagen.foundation.progress import Advance, no_advance
 from datagen.geometry.traced import face_normals
 from model.reconstruction.atlas.texels import TexelSurface
-from model.reconstruction.unwrap.charts import chart_of_faces, uv_areas
-from model.reconstruction.unwrap.packing import PACK_SIZE, packed
+from model.reconstruction.unwrap.charts import PACK_SIZE, chart_of_faces, packed, uv_areas
 from model.reconstruction.unwrap.planar import PlanarCharts
 
 MIN_PADDING_TEXELS = 1
