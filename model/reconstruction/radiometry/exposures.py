@@ -98,36 +98,20 @@ def radius_squared(view: TracedView) -> NDArray[np.float64]:
     return np.asarray(r2 / r2.max())
 
 
-@dataclass(frozen=True)
-class _Samples:
-    """M observations of chosen surfels.
-
-    ``surfel`` and ``view`` (M,): indices; ``r2`` (M,): squared image radius; ``value`` (M, 3), relative to
-    ``limit`` (M,); ``counts`` (M, 3): mask of usable channels.
-    """
-
-    surfel: NDArray[np.int64]
-    view: NDArray[np.int64]
-    r2: NDArray[np.float64]
-    value: NDArray[np.float64]
-    limit: NDArray[np.float64]
-    counts: NDArray[np.bool_]
-
-
 def find_radiometry(views: Sequence[TracedView], surfels: Surfels) -> Radiometry:
     """Estimate the radiometric calibration from ``surfels`` that several ``views`` show.
 
     The response is estimated only if the clipping limits of all photographs are known.
     """
-    samples = _samples(views, surfels)
+    channels, num_samples = _channels(views, surfels)
     has_limit = all(view.limit is not None for view in views)
     num = len(views)
-    if samples.counts.sum(axis=0).min() < MIN_SAMPLES * num:
+    if not channels:
         return Radiometry(np.ones((num, 3)))
-    gain, vignetting, _, cost = _solved(samples, num, has_curve=False)
+    gain, vignetting, _, cost = _solved(channels, num_samples, num, has_curve=False)
     curve = 0.0
     if has_limit and gain.std(axis=0).mean() >= MIN_SPREAD:
-        bent = _solved(samples, num, has_curve=True)
+        bent = _solved(channels, num_samples, num, has_curve=True)
         if bent[3] < (1 - MIN_EXPLAINED) * cost:
             gain, vignetting, curve, _ = bent
     gain -= np.median(gain, axis=0)
@@ -138,7 +122,8 @@ def find_radiometry(views: Sequence[TracedView], surfels: Surfels) -> Radiometry
     return Radiometry(np.exp(gain), vignetting, curve)
 
 
-def _samples(views: Sequence[TracedView], surfels: Surfels) -> _Samples:
+def _channels(views: Sequence[TracedView], surfels: Surfels) -> tuple[list[_Channel], int]:
+    """Choose usable observations by channel, none if they are too few; also return the number of all."""
     observations = surfels.observations
     common = float(np.quantile(surfels.radiance, 0.99))
     limit = np.array([common if view.limit is None else view.limit for view in views])
@@ -156,7 +141,11 @@ def _samples(views: Sequence[TracedView], surfels: Surfels) -> _Samples:
         r2[mine] = _radius_at(of_view, surfels.position_m[surfel[mine]])
     value = observations.radiance[rows].astype(np.float64) / limit[view][:, None]
     counts = (value > DARK) & (value < most[view][:, None])
-    return _Samples(surfel, view.astype(np.int64), r2, value, limit[view], counts)
+    if counts.sum(axis=0).min() < MIN_SAMPLES * len(views):
+        return [], len(rows)
+    at = view.astype(np.int64), r2, np.log(limit[view])
+    channels = [_Channel.of(surfel, *at, value[:, k], counts[:, k]) for k in range(3)]
+    return channels, len(rows)
 
 
 def _radius_at(view: TracedView, position_m: NDArray) -> NDArray[np.float64]:
@@ -172,17 +161,17 @@ def _radius_at(view: TracedView, position_m: NDArray) -> NDArray[np.float64]:
 
 
 def _solved(
-    samples: _Samples, num_views: int, *, has_curve: bool
+    channels: Sequence[_Channel], num_samples: int, num_views: int, *, has_curve: bool
 ) -> tuple[NDArray[np.float64], float, float, float]:
     """Estimate ln gains (V, 3), vignetting and curve by Gauss-Newton steps; return them and the cost.
 
     Residuals are those of recorded values, since a flat response would minimise residuals of radiance.
     """
-    channels = [_Channel.of(samples, channel) for channel in range(3)]
+    channels = [replace(channel, radiance=channel.radiance.copy()) for channel in channels]
     last = 3 * num_views
     spread = np.array([*[_PRIOR_GAIN] * last, _PRIOR_VIGNETTING, _PRIOR_CURVE if has_curve else 1e-9])
     weight = np.full(last + 2, _PRIOR_WEIGHT)
-    weight[-1] = _CURVE_WEIGHT * len(samples.surfel)
+    weight[-1] = _CURVE_WEIGHT * num_samples
     state = np.zeros(last + 2)
     for number in range(_ROUNDS):
         scale = _SCALES[0] * (_SCALES[1] / _SCALES[0]) ** min(1.0, number / (_ROUNDS - 3))
@@ -219,14 +208,18 @@ class _Channel:
     radiance: NDArray[np.float64]
 
     @classmethod
-    def of(cls, samples: _Samples, channel: int) -> _Channel:
-        rows = np.flatnonzero(samples.counts[:, channel])
-        surfel = np.unique(samples.surfel[rows], return_inverse=True)[1]
-        rows = rows[np.bincount(surfel)[surfel] >= MIN_VIEWS]
-        surfel = np.unique(samples.surfel[rows], return_inverse=True)[1]
-        shown, limit = np.log(samples.value[rows, channel]), np.log(samples.limit[rows])
-        radiance = _group_medians(shown + limit, surfel)
-        return cls(surfel, samples.view[rows], samples.r2[rows], shown, limit, radiance)
+    def of(
+        cls, surfel: NDArray, view: NDArray, r2: NDArray, limit: NDArray, value: NDArray, counts: NDArray
+    ) -> _Channel:
+        """Choose the samples ``counts`` (M,) of surfels with enough of them."""
+        rows = np.flatnonzero(counts)
+        rows = rows[np.bincount(surfel[rows])[surfel[rows]] >= MIN_VIEWS]
+        surfel, shown, limit = (
+            np.unique(surfel[rows], return_inverse=True)[1],
+            np.log(value[rows]),
+            limit[rows],
+        )
+        return cls(surfel, view[rows], r2[rows], shown, limit, _group_medians(shown + limit, surfel))
 
     def predicted(self, state: NDArray, first: int, last: int) -> tuple[NDArray[np.float64], ...]:
         """Predict the ln value of the samples and its derivatives (:func:`_log_shown`) at ``state``."""

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
+from datagen.foundation.meshes.mesh import area_vectors
 from datagen.light.background import Background
 from datagen.light.bake import Baker
 from datagen.light.cells import Cells
@@ -105,9 +106,7 @@ class SourceField:
     def __init__(self, scene: mi.Scene, surfels: Surfels, emitters: Emitters, background: Background):
         self._scene, self.surfels = scene, surfels
         self._emitters, self._background = emitters, background
-        corners = emitters.vertices.astype(np.float64)
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        self._area = 0.5 * np.linalg.norm(cross, axis=1)
+        self._area = 0.5 * np.linalg.norm(area_vectors(emitters.vertices.astype(np.float64)), axis=1)
 
     def colored(self, sources: Sources, radiance: NDArray) -> Colored:
         """Compute the room's radiance with ``radiance`` (S, 3) in the clipped channels of the sources."""
