@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.axes import Z_UP_FROM_Y_UP
