@@ -40,8 +40,9 @@ MIN_CELLS, MIN_SHARE = 4, 0.003
 """Minimum number of cells of a lamp, and its minimum share of the radiant power of all surfels."""
 MAX_BLOCK = 16
 """Maximum side of a rectangle in cells."""
-MIN_EDGE, RING_CELLS = 2.0, (1.5, 3.5)
-"""Minimum radiance of a lamp relative to the surrounding ring of surfels, and radii of the ring in cells."""
+MIN_EDGE, RING_CELLS = EXCESS, (1.5, 3.5)
+"""Minimum radiance of a lamp relative to the surrounding ring of surfels, which reflects at most the light
+that arrives, and radii of the ring in cells. In smooth light of a hidden lamp, the ratio is up to 2.4."""
 _GAP = 0.25  # cells between the surface and its rectangle
 
 
