@@ -9,8 +9,8 @@ The estimator is that of Mitsuba's ``path`` (tests compare the two), extended by
 * optionally, termination of paths in an irradiance cache after the first bounce (:mod:`.irradiance_cache`).
 
 There is no film; the samples of a pixel are adjacent in one array and are summed in order, so results have
-the same bytes for any number of threads. Camera, size, seed, sample count and clamp are arguments of the
-kernel, which is recorded once per scene and replayed.
+the same bytes for any number of threads. A kernel, recorded once per scene, continues the paths of all lanes
+by some segments; between its launches, the paths that have not ended are packed into adjacent lanes.
 """
 
 from __future__ import annotations
