@@ -67,6 +67,8 @@ def _check_typer(app: typer.Typer, name: str, words: list[str], is_whole: bool) 
         name, command, words = f"{name} {words[0]}", command.commands[words[0]], words[1:]
     if "--help" in words:
         return ""
+    for parameter in command.params:
+        parameter.prompt = None  # a check asks for no values
     try:
         command.make_context(name, list(words))
     except Exception as error:
