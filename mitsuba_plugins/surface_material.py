@@ -329,5 +329,10 @@ class SceneMaterials:
 
     def channels_at(self, si: mi.SurfaceInteraction3f, active: Array) -> SurfaceChannels:
         """Channels at the hit ``si``; 0 where inactive, and on lights except for opacity 1."""
-        index = dr.gather(mi.UInt32, self._evaluator_of_shape, self._registry_index(si), active)
+        return self._evaluated(self._evaluator_of_shape, si, active)
+
+    def _evaluated(
+        self, evaluator_of_shape: Array, si: mi.SurfaceInteraction3f, active: Array
+    ) -> SurfaceChannels:
+        index = dr.gather(mi.UInt32, evaluator_of_shape, self._registry_index(si), active)
         return SurfaceChannels(*dr.switch(index, self._evaluators, si, active))

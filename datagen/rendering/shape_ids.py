@@ -80,8 +80,7 @@ class MergedShapeMaterials(SceneMaterials):
 
     def reflecting_channels_at(self, si: mi.SurfaceInteraction3f, active: Array) -> SurfaceChannels:
         """Channels at the hit ``si`` like :meth:`channels_at`, with those of the surfaces of lights."""
-        index = dr.gather(mi.UInt32, self._bsdf_of_shape, self._registry_index(si), active)
-        return SurfaceChannels(*dr.switch(index, self._evaluators, si, active))
+        return self._evaluated(self._bsdf_of_shape, si, active)
 
     def shape_index(self, si: mi.SurfaceInteraction3f) -> Array:
         """Index of the triangle that was hit; 0 for none."""

@@ -54,7 +54,6 @@ class Walk:
         passes: Array,
         direction: Array,
         pdf: Array,
-        is_delta: Array = False,
         record: Array = 0,
     ) -> None:
         """Start the next segment at ``si``, along ``direction`` of density ``pdf`` [1/sr] where ``bounces``,
@@ -63,7 +62,7 @@ class Walk:
         self.ray = si.spawn_ray(dr.select(bounces, direction, self.ray.d))
         self.previous = dr.select(bounces, mi.Interaction3f(si), self.previous)
         self.previous_pdf = dr.select(bounces, pdf, self.previous_pdf)
-        self.previous_is_delta = dr.select(bounces, is_delta, self.previous_is_delta)
+        self.previous_is_delta = self.previous_is_delta & ~bounces
         self.previous_record = dr.select(bounces, record, self.previous_record)
         self.depth = dr.select(bounces, self.depth + 1, self.depth)
         self.num_crossed = dr.select(passes, self.num_crossed + 1, self.num_crossed)
