@@ -43,6 +43,16 @@ class SurfaceChannels:
     normal_local: Array
     opacity: Array
 
+    def diffuse_reflectance(self) -> Array:
+        """Reflectance (Color3f) of the diffuse lobe in uniform light, reduced below mapped horizons."""
+        above = 0.5 + 0.5 * dr.abs(self.normal_local.z)
+        return (1.0 - self.specular_albedo) * self.diffuse_albedo * above
+
+    def fresnel(self, wi: Array) -> Array:
+        """Schlick's Fresnel reflectance (Color3f) for the local direction ``wi`` to the viewer."""
+        grazing = 1.0 - dr.minimum(dr.abs(dr.dot(self.normal_local, wi)), 1.0)
+        return dr.lerp(self.specular_albedo, 1.0, dr.square(dr.square(grazing)) * grazing)
+
 
 class SurfaceLobes:
     """BSDF of the ``channels`` at hits ``si``, without their opacity.

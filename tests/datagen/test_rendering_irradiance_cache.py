@@ -39,28 +39,52 @@ def cells_at(cells: Any, points: Any, normal: tuple[float, float, float]) -> tup
     return np.array(index), np.broadcast_to(np.array(is_inside), len(points))
 
 
+def box_points(scale: float = 1.0) -> NDArray[np.float64]:
+    """Points (N, 3) on the faces of ``BOX_M`` x ``scale``."""
+    numbers = np.random.default_rng(3).random((20000, 3))
+    axis = np.arange(len(numbers)) % 3
+    numbers[np.arange(len(numbers)), axis] = np.arange(len(numbers)) % 2
+    return (BOX_M[0] + numbers * (BOX_M[1] - BOX_M[0])) * scale
+
+
 def test_cells_distinguish_positions_and_orientations() -> None:
     from datagen.rendering.transport.irradiance_cache import SurfaceCells
 
-    cells = SurfaceCells(BOX_M, 6 * 2000)
-    assert cells.side_m == pytest.approx(0.1) and cells.shape == (20, 10, 10)
-    points = [[0.05, 0.55, 0.25], [0.08, 0.51, 0.29], [0.12, 0.55, 0.25], [-0.01, 0.5, 0.5], [1.0, 1.01, 0.5]]
+    cells = SurfaceCells(box_points())
+    assert cells.side_m == pytest.approx(0.025) and min(cells.shape) >= 41
+    points = [[0.03, 0.53, 0.01], [0.034, 0.52, 0.0], [0.06, 0.53, 0.01], [-0.3, 0.5, 0.5], [1.0, 0.5, 0.5]]
     index, is_inside = cells_at(cells, points, (0, 0, 1))
-    assert index[0] == index[1] != index[2] and is_inside.tolist() == [True, True, True, False, False]
+    assert index[0] == index[1] != index[2]
+    assert is_inside.tolist() == [True, True, True, False, False]  # outside, and far from all points
     normals = [(0.9, 0.1, -0.4), (-0.9, 0.1, 0.4), (0, 1, 0.9), (0.1, -1, 0), (0, 0.5, 1), (0.2, 0, -1)]
     one_place = [int(cells_at(cells, points[:1], normal)[0][0]) for normal in normals]
     assert len(set(one_place)) == 6 and max(one_place) < cells.num_cells
     assert one_place[4] == index[0]
+    orientation, cube = cells.cubes(np.array(one_place))
+    assert orientation.tolist() == [1, 0, 3, 2, 5, 4]
+    low = np.array(cells.low).ravel() + cells.side_m * cube
+    assert ((low <= points[0]) & (points[0] < low + cells.side_m)).all()
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
-def test_cells_follow_the_scale_of_the_scene(scale: float) -> None:
-    from datagen.rendering.transport.irradiance_cache import SurfaceCells
+def test_cells_follow_the_scale_of_small_scenes(scale: float) -> None:
+    from datagen.rendering.transport.irradiance_cache import MAX_BRICKS, MAX_SIDE_M, SurfaceCells
 
-    cells = SurfaceCells(BOX_M * scale, 6 * 2000)
-    assert cells.side_m == pytest.approx(0.1 * scale) and cells.num_cells <= 6 * 21 * 11 * 11
-    flat = SurfaceCells(np.array([[0.0, 0.0, 0.0], [scale, scale, 0.0]]), 1 << 21)
-    assert flat.side_m >= scale / 512 and flat.num_cells <= 6 * 512 * 512
+    cells = SurfaceCells(box_points(scale))
+    inside = cells_at(cells, box_points(scale).tolist(), (0, 0, 1))[1]
+    assert inside.all() and cells.num_cells <= 6 * 8**3 * (MAX_BRICKS + 1)
+    if scale <= 1.0:
+        assert cells.side_m == pytest.approx(scale / 40)
+    else:  # bounded by memory instead
+        assert cells.side_m > MAX_SIDE_M
+        halved = box_points(scale) / (4 * cells.side_m)
+        assert len(np.unique(halved.astype(int), axis=0)) > MAX_BRICKS
+
+
+def test_cells_of_a_large_room_are_bounded_in_metres() -> None:
+    from datagen.rendering.transport.irradiance_cache import MAX_SIDE_M, SurfaceCells
+
+    assert SurfaceCells(box_points(5.0)).side_m == MAX_SIDE_M
 
 
 def test_means_are_shrunk_towards_their_surroundings() -> None:
@@ -68,11 +92,10 @@ def test_means_are_shrunk_towards_their_surroundings() -> None:
 
     from datagen.rendering.transport.irradiance_cache import PRIOR_SAMPLES, IrradianceCache, SurfaceCells
 
-    cells = SurfaceCells(BOX_M, 6 * 2000)
+    cells = SurfaceCells(box_points())
     cache = IrradianceCache(cells)
-    (near, beside, far), _ = cells_at(
-        cells, [[0.05, 0.05, 0.05], [0.15, 0.05, 0.05], [1.95, 0.95, 0.95]], (0, 0, 1)
-    )
+    places = [[0.0, 0.1, 0.1], [0.0, 0.125, 0.1], [1.95, 0.95, 1.0]]
+    (near, beside, far), _ = cells_at(cells, places, (0, 0, 1))
 
     def means(*points: list[float]) -> tuple[NDArray, NDArray]:
         where = mi.Point3f(np.array(points, np.float32).T)
@@ -80,18 +103,18 @@ def test_means_are_shrunk_towards_their_surroundings() -> None:
         value, is_known = cache.irradiance(record, mi.Bool(True))
         return np.array(value).T, np.array(is_known)
 
-    assert not means([0.05, 0.05, 0.05])[1].any()
+    assert not means(places[0])[1].any()
     cache.add(np.array([near, near]), np.array([[1.0, 2.0, 3.0], [3.0, 4.0, 5.0]]))
-    assert means([0.05, 0.05, 0.05])[0][0] == pytest.approx([2, 3, 4])
+    assert means(places[0])[0][0] == pytest.approx([2, 3, 4])
     cache.add(np.array([near]), np.array([[8.0, 9.0, 10.0]]))
-    assert means([0.05, 0.05, 0.05])[0][0] == pytest.approx([4, 5, 6])
+    assert means(places[0])[0][0] == pytest.approx([4, 5, 6])
     cache.add(
         np.repeat([near, beside, far], [996, 1, 1]),
         np.repeat([[10.0] * 3, [0.0] * 3, [7.0] * 3], [996, 1, 1], 0),
     )
     assert cache.num_records == 3
     cache.finish()
-    value, is_known = means([0.05, 0.05, 0.05], [0.15, 0.05, 0.05], [1.95, 0.95, 0.95], [1.0, 0.5, 0.5])
+    value, is_known = means(*places, [1.0, 0.5, 0.0])
     assert is_known.tolist() == [True, True, True, False]
     assert value[0] == pytest.approx([10] * 3, rel=0.02)
     assert value[1] == pytest.approx([10 * PRIOR_SAMPLES / (1 + PRIOR_SAMPLES)] * 3, rel=0.02)
@@ -126,32 +149,11 @@ def wall_areas(room: SceneRenderer) -> NDArray[np.float64]:
     cache = room.tracer.irradiance
     assert cache is not None
     cells = cache.cells
-    orientation, *cube = np.unravel_index(cache.cell_of_record[1:], (6, *cells.shape))
-    low = np.array(cells.low).T.ravel() + cells.side_m * np.stack(cube, axis=-1)
+    orientation, cube = cells.cubes(cache.cell_of_record[1:])
+    low = np.array(cells.low).T.ravel() + cells.side_m * cube
     inside = np.minimum(low + cells.side_m, [2, 2, 2]) - np.maximum(low, [-2, -2, 0])
     inside[np.arange(len(low)), orientation // 2] = 1.0
     return inside.prod(axis=1)
-
-
-def test_reflectance_of_the_specular_lobe_equals_that_of_the_bsdf() -> None:
-    import drjit as dr
-    import mitsuba as mi
-
-    from datagen.rendering.transport.irradiance_gathering import specular_reflectance
-    from mitsuba_plugins.surface_material import SurfaceChannels
-
-    numbers = np.random.default_rng(7).random((4, 1 << 16), np.float32)
-    for specular in (0.0, 0.04, 0.5):
-        for roughness in (0.05, 0.5, 0.8, 1.0):
-            material = {"type": "cook_torrance", "diffuse_albedo": 0.0, "roughness": roughness}
-            bsdf = mi.load_dict({**material, "specular_albedo": specular})
-            si = dr.zeros(mi.SurfaceInteraction3f, numbers.shape[1])
-            si.wi = mi.warp.square_to_cosine_hemisphere(mi.Point2f(numbers[:2]))
-            draws = mi.Float(numbers[2]), mi.Point2f(numbers[[3, 2]])
-            _, weight = bsdf.sample(mi.BSDFContext(), si, *draws)
-            channels = SurfaceChannels(None, mi.Color3f(specular), mi.Float(roughness), None, None)
-            fit = float(np.array(specular_reflectance(channels))[0, 0])
-            assert fit == pytest.approx(float(dr.mean(weight.x)[0]), abs=0.004)
 
 
 def test_irradiance_does_not_pass_a_wall(tmp_path: Path) -> None:
@@ -281,7 +283,7 @@ def test_cache_does_not_depend_on_the_size_of_images(tmp_path: Path) -> None:
     assert small.num_records == pytest.approx(large.num_records, rel=0.05)
 
 
-@pytest.mark.parametrize(("roughness", "contrast", "tolerance"), [(0.25, 3.0, 0.35), (0.5, 2.0, 0.1)])
+@pytest.mark.parametrize(("roughness", "contrast", "tolerance"), [(0.25, 3.0, 0.12), (0.5, 2.0, 0.06)])
 def test_a_beam_is_reflected_in_its_direction(
     tmp_path: Path, roughness: float, contrast: float, tolerance: float
 ) -> None:
@@ -302,6 +304,18 @@ def test_a_beam_is_reflected_in_its_direction(
     means = means_of_views(tmp_path, scene, down, lamp)
     assert means["plain"][0] > contrast * means["plain"][1]
     assert means["cached"] == pytest.approx(means["plain"], rel=tolerance)
+
+
+@pytest.mark.parametrize("roughness", [0.15, 0.6])
+def test_glossy_room_is_as_bright_as_with_whole_paths(tmp_path: Path, roughness: float) -> None:
+    """Were specular lobes diffuse in the gathering, the room would be 1.3 % brighter."""
+    glossy = SlotMaterial(
+        diffuse_albedo=(0.5, 0.5, 0.5), specular_albedo=(0.2, 0.2, 0.2), roughness=roughness
+    )
+    scene = walled_room()
+    scene.slots = dict.fromkeys(scene.slots, glossy)
+    means = means_of_views(tmp_path, scene, CAMERAS[:2], LAMP)
+    assert means["cached"] == pytest.approx(means["plain"], rel=0.005)
 
 
 def test_without_surface_or_light_there_is_no_cache(tmp_path: Path) -> None:

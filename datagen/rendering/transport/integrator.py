@@ -6,7 +6,7 @@ The estimator is that of Mitsuba's ``path`` (tests compare the two), extended by
 * lights hidden from the camera, and opacity in shadow rays (:mod:`.emitters`);
 * low-discrepancy samples in every pair of dimensions of a pixel (:mod:`.sobol`);
 * learned light sampling (:mod:`.light_sampler`) and a guide through openings (:mod:`.sky_guide`);
-* optionally, termination of paths in an irradiance cache after the first bounce (:mod:`.irradiance_cache`).
+* optionally, diffuse light from an irradiance cache after the first bounce (:mod:`.irradiance_cache`).
 
 There is no film; the samples of a pixel are adjacent in one array and are summed in order, so results have
 the same bytes for any number of threads. A kernel, recorded once per scene, continues the paths of all lanes
@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 import weakref
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
@@ -27,7 +28,7 @@ from numpy.typing import NDArray
 
 from datagen.rendering.sample_budget import PathSums
 from datagen.rendering.transport.emitters import SceneEmitters
-from datagen.rendering.transport.irradiance_cache import NARROW_PDF, IrradianceCache, spread_of
+from datagen.rendering.transport.irradiance_cache import IrradianceCache, spread_of
 from datagen.rendering.transport.irradiance_gathering import gather_irradiance
 from datagen.rendering.transport.light_sampler import LightSampler, uniform_sampler
 from datagen.rendering.transport.recording import undisturbed
@@ -50,6 +51,8 @@ before."""
 MIN_PACKED = 1 << 14
 """Minimum number of paths that are packed; fewer are traced to their ends at once."""
 UNLIMITED = 0xFFFFFFFF
+MIN_SPECULAR_SURVIVAL = 0.2
+"""Minimum probability that a path whose diffuse light is cached continues along the specular lobe."""
 TINY = 1e-30
 """Prevents division by 0 in the clamp for paths without light."""
 
@@ -299,9 +302,6 @@ class PathTracer:
         walk, sampler, throughput = state.walk, state.sampler, state.throughput
         direct, indirect, spread_m, active = state.direct, state.indirect, state.spread_m, state.active
         record = mi.UInt32(0)  # irradiance cache record of this vertex
-        is_cached = mi.Bool(False)  # whether the path may end in the cache here
-        cached = mi.Color3f(0.0)  # mean incident radiance from the cache
-        narrow_pdf: Any = mi.Float(NARROW_PDF)  # density from which on paths do not end in the cache
         segment = mi.UInt32(0)
         while active & (segment < max_segments):
             segment += 1
@@ -317,8 +317,10 @@ class PathTracer:
 
             active_next = active & si.is_valid() & ((walk.depth + 1 < self.max_depth) | ~is_seen)
 
-            # ---- emitter sampling ------------------------------------------------------------------------
+            # ---- diffuse reflection of cached irradiance -------------------------------------------------
             active_emitter = active_next & is_seen
+            channels = materials.reflecting_channels_at(si, active_next)
+            survives, roulette = mi.Bool(True), mi.Float(1.0)
             if dr.hint(cache is not None, mode="scalar"):
                 returns = active_next & is_seen & (walk.depth > 0)
                 spread = spread_of(walk.previous, walk.previous_pdf, si, walk.ray.d)
@@ -328,16 +330,24 @@ class PathTracer:
                 cached, is_cached = cache.mean_radiance(
                     si, walk.ray.d, record, dr.select(is_last, np.inf, spread_m), sampler.next_2d(), returns
                 )
-                narrow_pdf = dr.select(is_last, np.inf, NARROW_PDF)
+                reflected = channels.opacity * channels.diffuse_reflectance() * cached
+                indirect += dr.select(is_cached, throughput * reflected, 0.0)
+                left = dr.select(is_cached, 0.0, channels.diffuse_albedo)
+                channels = replace(channels, diffuse_albedo=left)
+                # The light of the specular lobe varies with direction; Russian roulette limits its paths.
+                survival = dr.clip(dr.max(channels.fresnel(si.wi)), MIN_SPECULAR_SURVIVAL, 1.0)
+                survives = ~is_cached | (~is_last & (sampler.next_1d() < survival))
+                roulette = dr.select(is_cached, 1.0 / survival, 1.0)
+                active_emitter &= survives
+
+            # ---- emitter sampling ------------------------------------------------------------------------
             ds, radiance = emitters.sample(si, sampler, record, active_emitter)
             active_emitter &= ds.pdf != 0.0
             wo = si.to_local(ds.d)
 
             # ---- BSDF: value towards the emitter, and sample of the next direction ------------------------
-            channels = materials.reflecting_channels_at(si, active_next)
             lobes = SurfaceLobes(channels, si, active_next, materials.has_mapped_normals)
             value, pdf = lobes.eval_pdf(wo)
-            active_emitter &= ~is_cached | (pdf >= narrow_pdf)  # cached irradiance includes direct light
             choice: Any = sampler.next_1d()
             passes = mi.Bool(False)
             if dr.hint(emitters.has_transparency, mode="scalar"):
@@ -349,16 +359,15 @@ class PathTracer:
             direction, bsdf_pdf, bsdf_weight = lobes.sample(choice, sampler.next_2d())
             radiance = emitters.visible(si, ds, radiance, active_emitter)
             weight = dr.select(ds.delta, 1.0, power_heuristic(ds.pdf, pdf))
-            sampled = dr.select(active_emitter, throughput * value * radiance * weight, 0.0)
+            sampled = dr.select(active_emitter, throughput * value * radiance * (weight * roulette), 0.0)
             direct += dr.select(walk.depth <= 1, met, 0.0) + dr.select(walk.depth == 0, sampled, 0.0)
             indirect += dr.select(walk.depth <= 1, 0.0, met) + dr.select(walk.depth == 0, 0.0, sampled)
-
-            # ---- termination in the cache ------------------------------------------------------------------
-            ends = is_cached & ~passes & (bsdf_pdf < narrow_pdf)
-            indirect += dr.select(ends, throughput * bsdf_weight * cached, 0.0)
+            ends = ~survives & ~passes
+            if dr.hint(cache is not None, mode="scalar"):
+                indirect += dr.select(is_last & ends, throughput * bsdf_weight * cached, 0.0)
 
             # ---- next segment ------------------------------------------------------------------------------
-            throughput = dr.select(passes, throughput, throughput * bsdf_weight)
+            throughput = dr.select(passes, throughput, throughput * bsdf_weight * roulette)
             bounces = active_next & ~passes
             if dr.hint(emitters.has_transparency, mode="scalar"):
                 bsdf_pdf = bsdf_pdf * channels.opacity

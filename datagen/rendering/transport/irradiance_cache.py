@@ -4,14 +4,11 @@
 Most of a path's time and variance is due to the segments after its first bounce, where all views of a room
 need the same quantity, the irradiance of the walls. Surfaces are divided into cells (cubes, each split by six
 orientations), and the irradiance E of each cell is estimated beforehand from all cameras together
-(:mod:`.irradiance_gathering`). A path may then end where it has spread over more than a few cells:
-
-    light reflected by a broad lobe = (value of the lobe / its density) x E / pi,
-
-which is final gathering (Reichert 1992) from an irradiance cache (Ward, Rubinstein and Clear 1988) whose
-records are means over cells. Sufficient spread is defined as by Mueller et al. (Real-time Neural Radiance
-Caching, 2021), by the area that corresponds to the densities of the path's directions. docs/decisions/0075
-states the neglected effects and the resulting errors.
+(:mod:`.irradiance_gathering`). Where a path has spread over more than a few cells, its surface's diffuse lobe
+reflects (1 - S) D E / pi, and only the specular lobe is traced further. This is final gathering (Reichert
+1992) from an irradiance cache (Ward, Rubinstein and Clear 1988) whose records are means over cells.
+Sufficient spread is defined as by Mueller et al. (Real-time Neural Radiance Caching, 2021), by the area that
+corresponds to the densities of the path's directions. docs/decisions/0075 states the neglected effects.
 """
 
 from __future__ import annotations
@@ -33,37 +30,62 @@ LEVELS = 3
 """Number of nested neighbourhoods; each has twice the side of the next smaller one."""
 MIN_SPREAD = 8.0
 """Minimum spread, in cell sides, for a path to end in the cache."""
-NARROW_PDF = 0.4
-"""Density [1/sr] from which on paths continue instead of ending in the cache, whose mean over all directions
-is too coarse for narrow lobes. The density of a diffuse lobe is at most 1 / pi."""
+MAX_SIDE_M, MIN_CELLS_ACROSS = 0.06, 80
+"""Maximum side [m] of a cell, and minimum number of cells along the longest side of a scene; in very large
+scenes, memory bounds both."""
+BRICK = 8
+"""Number of cubes along each axis of a brick."""
+CELLS_PER_BRICK = 6 * BRICK**3
+MAX_BRICKS, MAX_GRID = 1 << 12, 1 << 22
+"""Maximum number of bricks, and of bricks and gaps in the grid of all."""
 
 
 class SurfaceCells:
-    """A grid of cubes over a box, each split into six orientations, with about ``max_cells`` cells in total.
+    """Cubes around points on surfaces, each split into six orientations.
 
-    The side ``side_m`` of a cube is at least 1/512 of the box's longest side.
+    Cubes are stored in bricks, which exist only where there are points; ``side_m`` is the side of a cube.
     """
 
-    def __init__(self, box_m: NDArray[np.float64], max_cells: int):
-        """``box_m`` (2, 3) are the lower and upper corner of the box."""
-        extent = np.maximum(box_m[1] - box_m[0], 1e-6 * (box_m[1] - box_m[0]).max())
-        side = max(float((6.0 * extent.prod() / max_cells) ** (1.0 / 3.0)), float(extent.max()) / 512.0)
-        self.shape = tuple(int(n) for n in np.ceil(extent / side))
-        self.num_cells = 6 * int(np.prod(self.shape))
+    def __init__(self, points_m: NDArray[np.float64]):
+        """``points_m`` (N, 3) must not all be equal."""
+        longest = float(np.ptp(points_m, axis=0).max())
+        side = min(MAX_SIDE_M, longest / MIN_CELLS_ACROSS)
+        while True:
+            low = points_m.min(axis=0) - 0.5 * side  # walls are not at the border of the grid
+            bricks = ((points_m - low) / (side * BRICK)).astype(np.int64)
+            grid = bricks.max(axis=0) + 1
+            if grid.prod() <= MAX_GRID:
+                found = np.unique(np.ravel_multi_index(tuple(bricks.T), grid))
+                if len(found) <= MAX_BRICKS:
+                    break
+            side *= 2.0
         self.side_m = side
-        self.low = mi.Point3f(*(float(v) for v in box_m[0]))
+        self.shape = tuple(int(n) for n in BRICK * grid)
+        self.num_cells = CELLS_PER_BRICK * (len(found) + 1)
+        self._low_of_brick = BRICK * np.stack(np.unravel_index(found, grid), axis=-1)
+        brick_of_place = np.zeros(int(grid.prod()), np.uint32)
+        brick_of_place[found] = np.arange(1, len(found) + 1)
+        self.bricks = mi.UInt32(brick_of_place)  # numbered from 1; 0: none
+        self.low = mi.Point3f(*(float(v) for v in low))
         self.side = mi.Float(side)
         self.counts = mi.Vector3u(*self.shape)
         dr.make_opaque(self.low, self.side, self.counts)
 
     def arrays(self) -> list[Any]:
         """Arrays that a recorded kernel reads."""
-        return [self.low, self.side, self.counts]
+        return [self.low, self.side, self.counts, self.bricks]
 
-    def index(self, point: Array, normal: Array) -> tuple[Any, Any]:
-        """Return the cell index of a surface point and its normal, and whether the point is in the box."""
+    def cubes(self, cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Orientation (N,) in [0, 6) and integer coordinates (N, 3) of ``cells`` (N,)."""
+        brick, orientation, *local = np.unravel_index(
+            cells, (self.num_cells // CELLS_PER_BRICK, 6, BRICK, BRICK, BRICK)
+        )
+        return orientation, self._low_of_brick[brick - 1] + np.stack(local, axis=-1)
+
+    def index(self, point: Array, normal: Array, active: Array = True) -> tuple[Any, Any]:
+        """Return the cell index of a surface point and its normal, and whether there is such a cell."""
         position = dr.floor((point - self.low) / self.side)
-        is_inside = dr.all((position >= 0.0) & (position < mi.Vector3f(self.counts)))
+        is_inside = dr.all((position >= 0.0) & (position < mi.Vector3f(self.counts))) & active
         cube: Any = mi.Vector3u(dr.select(is_inside, position, 0.0))
         size: Any = dr.abs(normal)
         is_x = (size.x >= size.y) & (size.x >= size.z)
@@ -71,8 +93,11 @@ class SurfaceCells:
         axis = dr.select(is_x, mi.UInt32(0), dr.select(is_y, mi.UInt32(1), mi.UInt32(2)))
         along = dr.select(is_x, normal.x, dr.select(is_y, normal.y, normal.z))
         orientation = 2 * axis + dr.select(along > 0.0, mi.UInt32(1), mi.UInt32(0))
-        columns = (orientation * self.counts.x + cube.x) * self.counts.y + cube.y
-        return columns * self.counts.z + cube.z, is_inside
+        place, local, count = cube // BRICK, cube % BRICK, self.counts // BRICK
+        place = (place.x * count.y + place.y) * count.z + place.z
+        brick: Any = dr.gather(mi.UInt32, self.bricks, place, is_inside)
+        local = (local.x * BRICK + local.y) * BRICK + local.z
+        return (6 * brick + orientation) * BRICK**3 + local, is_inside & (brick > 0)
 
 
 def copied(values: NDArray[Any]) -> Any:
@@ -130,12 +155,11 @@ class IrradianceCache:
     def finish(self) -> None:
         """Shrink the means of cells with few samples towards the means of their neighbourhood."""
         means = np.zeros_like(self._sums)
-        grid = (6, *self.cells.shape)
-        cells = np.array(np.unravel_index(self.cell_of_record[1:], grid))
+        orientation, cube = self.cells.cubes(self.cell_of_record[1:])
         counts, sums = self._counts[1:], self._sums[1:]
         around, prior = np.zeros_like(sums), 0.0
         for level in range(LEVELS, -1, -1):
-            blocks = np.ravel_multi_index((cells[0], *(cells[1:] >> level)), grid)
+            blocks = np.ravel_multi_index((orientation, *(cube.T >> level)), (6, *self.cells.shape))
             _, block = np.unique(blocks, return_inverse=True)
             total = np.bincount(block, counts)[block]
             added = np.stack([np.bincount(block, column)[block] for column in sums.T], axis=-1)
@@ -153,8 +177,8 @@ class IrradianceCache:
 
     def record(self, point: Array, normal: Array, active: Array) -> Array:
         """Record number of a surface point and its normal; 0 for none."""
-        cell, is_inside = self.cells.index(point, normal)
-        return dr.gather(mi.UInt32, self.records, cell, active & is_inside)
+        cell, is_inside = self.cells.index(point, normal, active)
+        return dr.gather(mi.UInt32, self.records, cell, is_inside)
 
     def irradiance(self, record: Array, active: Array) -> tuple[Any, Any]:
         """Irradiance (Color3f) of a record, and whether it is known."""

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Gathers the irradiance cache and the light sampler's moments along camera paths of all views.
 
-The first rounds trace whole paths, which distribute light through the scene. Later rounds solve for radiosity
-by sampling; they trace a shadow ray and one cosine-distributed ray from each point, and the radiance at the
-hit of the latter is reflectance x E / pi, with E from earlier rounds.
+The first rounds trace whole paths, which distribute light through the scene. In later rounds, the diffuse
+lobe at the end of a segment reflects (1 - S) D E / pi, with E from earlier rounds, and only light of the
+specular lobe is traced further.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -38,20 +39,16 @@ Array = Any
 NUM_RAYS = 40960
 """Number of camera rays of all views together, independent of resolution since all views share the noise of
 the cache; each ray yields samples of irradiance at up to four vertices."""
-MAX_CELLS = 1 << 22
-"""Approximate number of cells, nearly all empty; in a room of 5 m, cubes have a side of about 0.06 m."""
 BOX_PERCENTILE = 0.2
-"""Percentage of the visited points left out beyond each face of the grid's box, such as distant landscape."""
-BOX_MARGIN = 0.05
-"""Margin of the box on each side, as a fraction of its longest side."""
+"""Percentage of the visited points left out at each end of each axis, such as distant landscape."""
 MIN_HITS = 64
 """Minimum number of hits on surfaces for gathering a cache."""
 BOUNCES = 3
 """Number of bounces before a path's last recorded vertex, beyond which it continues to known irradiance."""
 WARM_UP_BOUNCES = 64
 """Maximum number of bounces of a path, large since later rounds lengthen paths slowly."""
-MAX_SURVIVAL = 0.95
-"""Maximum probability that Russian roulette continues a path beyond the recorded vertices."""
+MIN_SURVIVAL, MAX_SURVIVAL = 0.05, 0.95
+"""Bounds of the probability that Russian roulette continues a path beyond the recorded vertices."""
 WARM_UP, ROUNDS = 6, 12
 """Number of rounds with whole paths, and of rounds whose paths end in the irradiance of earlier rounds."""
 WARM_UP_SHARE = 4
@@ -71,14 +68,14 @@ def gather_irradiance(
     if len(points) < MIN_HITS:
         return None
     low, high = np.percentile(points, [BOX_PERCENTILE, 100.0 - BOX_PERCENTILE], axis=0)
-    margin = BOX_MARGIN * float((high - low).max())
-    if not margin > 0.0:
+    if not (high > low).any():
         return None
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
     sampler = emitters.light_sampler
     if sampler is not None and sampler.num_techniques > MAX_LEARNED:
         sampler = None
     num_techniques = 0 if sampler is None else sampler.num_techniques
-    cache = IrradianceCache(SurfaceCells(np.stack([low - margin, high + margin]), MAX_CELLS), num_techniques)
+    cache = IrradianceCache(SurfaceCells(points), num_techniques)
 
     def walk(scene: Any, ray: Any, numbers: Any, is_warm: Any) -> list[tuple[Any, ...]]:
         return _walk(emitters, scene, materials, cache, sampler, ray, numbers, is_warm)
@@ -166,8 +163,10 @@ def _walk(
     """Trace a path; return for each vertex its cell, whether the cell is valid, a sample of the irradiance,
     and the shadow ray's technique and contribution (see :func:`_attributed`).
 
-    After the warm-up (``is_warm``), known cached irradiance at the next vertex replaces the rest of the path.
+    After the warm-up (``is_warm``), known cached irradiance replaces the light of a vertex's diffuse lobe.
     """
+    from mitsuba_plugins.surface_material import SurfaceLobes  # needs a selected variant
+
     walk = Walk(ray)  # current segment and previous vertex
     # One entry per recorded vertex:
     cells: list[Any] = [mi.UInt32(0) for _ in range(BOUNCES + 1)]  # cell of the irradiance cache
@@ -175,58 +174,76 @@ def _walk(
     irradiance: list[Any] = [mi.Color3f(0.0) for _ in range(BOUNCES + 1)]  # accumulated so far
     techniques: list[Any] = [mi.UInt32(0) for _ in range(BOUNCES + 1)]  # technique of the shadow ray
     contributions: list[Any] = [mi.Float(0.0) for _ in range(BOUNCES + 1)]  # see :func:`_attributed`
-    # Factor from radiosity at the end of the segment to irradiance at the vertex
+    # Derivative of that irradiance by the radiance that arrives at the path's end
     throughput: list[Any] = [mi.Color3f(0.0) for _ in range(BOUNCES + 1)]
     active = mi.Bool(True)  # lanes whose path continues
     while active:
         si = walk.intersect(scene, active)
         hits = active & si.is_valid()
         is_light = hits & si.shape.is_emitter()
-        channels = materials.channels_at(si, hits)
+        channels = materials.reflecting_channels_at(si, hits)
         passes = (hits & ~is_light & (numbers.next_1d() >= channels.opacity)) | emitters.is_hidden(
             si, walk.depth
         )
         arrives = active & ~passes
 
-        # ---- emission and radiosity at the end of the segment ---------------------------------------------
+        # ---- emission, and diffuse reflection of known irradiance -----------------------------------------
         emitted, weight = emitters.emission(si, walk, arrives, arrives)
         normal = facing_normal(si, walk.ray.d)
         known, is_known = cache.irradiance(cache.record(si.p, normal, arrives & hits), arrives & hits)
-        diffuse, specular = channels.diffuse_albedo, channels.specular_albedo
-        reflectance = dr.minimum((1.0 - specular) * diffuse + specular_reflectance(channels), 1.0)
         is_known &= is_warm | (walk.depth > WARM_UP_BOUNCES)
-        arriving = np.pi * (emitted * weight) + dr.select(is_known, reflectance * known, 0.0)
+        diffuse = channels.diffuse_reflectance()
+        arriving = emitted * weight + dr.select(is_known, INVERSE_PI * diffuse * known, 0.0)
+
+        # ---- Russian roulette beyond the recorded vertices -------------------------------------------------
+        # A path continues until its irradiance is known; assuming 0 adds bias.
+        bounces = arrives & hits & (walk.depth <= WARM_UP_BOUNCES)
+        specular = channels.fresnel(si.wi)
+        reflectance = specular + dr.select(is_known, 0.0, diffuse)
+        is_recorded = walk.depth <= BOUNCES
+        survival = dr.select(is_recorded, 1.0, dr.clip(dr.max(reflectance), MIN_SURVIVAL, MAX_SURVIVAL))
+        bounces &= numbers.next_1d() < survival
 
         # ---- direct light at this vertex ------------------------------------------------------------------
-        # Beyond the recorded vertices, a path continues until the radiosity is known; assuming 0 adds bias.
-        bounces = arrives & hits & (walk.depth <= dr.select(is_known, BOUNCES, WARM_UP_BOUNCES))
+        # Directions are cosine-distributed, for the irradiance, or distributed as light is reflected.
+        channels = replace(channels, diffuse_albedo=dr.select(is_known, 0.0, channels.diffuse_albedo))
+        lobes = SurfaceLobes(channels, si, bounces, materials.has_mapped_normals)
+        share = dr.select(is_recorded, 1.0 - 0.5 * dr.max(specular), 0.0)
         ds, radiance = emitters.sample(si, numbers, mi.UInt32(0), bounces)
         radiance = emitters.visible(si, ds, radiance, bounces)
+        value, pdf = lobes.eval_pdf(si.to_local(ds.d))
         cosine = dr.maximum(dr.dot(normal, ds.d), 0.0)
-        weight = dr.select(ds.delta, 1.0, power_heuristic(ds.pdf, cosine * INVERSE_PI))
-        direct = dr.select(bounces & (ds.pdf > 0.0), radiance * cosine * weight, 0.0)
+        pdf = dr.lerp(pdf, cosine * INVERSE_PI, share)
+        weight = dr.select(ds.delta, 1.0, power_heuristic(ds.pdf, pdf))
+        lit = dr.select(bounces & (ds.pdf > 0.0), radiance * weight, 0.0)
+        direct = lit * cosine
         technique, contribution = _attributed(sampler, ds, radiance, direct)
+
+        # ---- next direction --------------------------------------------------------------------------------
+        choice: Any = numbers.next_1d()
+        number: Any = numbers.next_2d()
+        uniform, _ = cosine_bounce(normal, number)
+        reflected, _, _ = lobes.sample((choice - share) / dr.maximum(1.0 - share, 1e-6), number)
+        direction = dr.select(choice < share, uniform, si.to_world(reflected))
+        next_value, next_pdf = lobes.eval_pdf(si.to_local(direction))
+        next_cosine = dr.maximum(dr.dot(normal, direction), 0.0)
+        next_pdf = dr.lerp(next_pdf, next_cosine * INVERSE_PI, share)
+        inverse = dr.select(next_pdf > 0.0, 1.0 / next_pdf, 0.0)
+
         cell, is_inside = cache.cells.index(si.p, normal)
         for bounce in range(BOUNCES + 1):
-            irradiance[bounce] += dr.select(arrives, throughput[bounce] * arriving, 0.0)
-            onward = dr.select(arrives, throughput[bounce] * reflectance, throughput[bounce])
-            throughput[bounce] = dr.select(is_known, 0.0, onward)
+            radiance = arriving + value * lit / survival
+            irradiance[bounce] += dr.select(arrives, throughput[bounce] * radiance, 0.0)
+            throughput[bounce] *= dr.select(bounces, next_value * (inverse / survival), 1.0)
             here = bounces & (walk.depth == bounce)
             cells[bounce] = dr.select(here, cell, cells[bounce])
             is_found[bounce] |= here & is_inside
             techniques[bounce] = dr.select(here, technique, techniques[bounce])
             contributions[bounce] = dr.select(here, contribution, contributions[bounce])
-            throughput[bounce] = dr.select(here, 1.0, throughput[bounce])
-            irradiance[bounce] += throughput[bounce] * direct
-        direction, pdf = cosine_bounce(normal, numbers.next_2d())
-        walk.advance(si, bounces, passes, direction, pdf)
-
-        # ---- Russian roulette -----------------------------------------------------------------------------
-        plays = bounces & (walk.depth > BOUNCES + 1)
-        survival = dr.select(plays, dr.clip(dr.max(reflectance), 1e-3, MAX_SURVIVAL), 1.0)
-        for bounce in range(BOUNCES + 1):
-            throughput[bounce] /= survival
-        bounces &= ~plays | (numbers.next_1d() < survival)
+            irradiance[bounce] += dr.select(here, direct, 0.0)
+            throughput[bounce] = dr.select(here, next_cosine * inverse, throughput[bounce])
+        bounces &= next_pdf > 0.0
+        walk.advance(si, bounces, passes, direction, next_pdf)
         active = (bounces | (active & passes)) & (walk.num_crossed < MAX_CROSSINGS_BEFOREHAND)
     return list(zip(cells, is_found, irradiance, techniques, contributions, strict=True))
 
@@ -241,16 +258,3 @@ def _attributed(light_sampler: LightSampler | None, ds: Any, radiance: Any, dire
     technique = light_sampler.technique(ds, mi.luminance(radiance) * ds.pdf)
     probability = light_sampler.probability(mi.UInt32(0), technique)
     return technique, mi.luminance(direct) * dr.sqrt(probability)
-
-
-def specular_reflectance(channels: Any) -> Array:
-    """Directional-hemispherical reflectance of the specular lobe, averaged over directions, in [0, 1].
-
-    Schlick's Fresnel term has the cosine-weighted mean S + (1 - S) / 21 over the hemisphere. The dependence
-    of both terms on roughness is fitted to the BSDF with errors up to 0.0025, small because multiple bounces
-    amplify an error by 1 / (1 - reflectance).
-    """
-    specular, r = channels.specular_albedo, channels.roughness
-    normal = specular * (1.0 + r * r * (0.137 + r * (-0.540 + r * 0.057)))
-    grazing = (1.0 - specular) / 21.0 * (1.0 + r * r * (-1.427 + r * (-1.183 + r * 1.737)))
-    return normal + grazing
