@@ -8,7 +8,8 @@ The rooms are five of the bundled library and five imported scenes (from ../shar
 true error is measured as in `datagen verify --recheck`, against four independent references of plain paths of
 up to 65 segments, here with shadow rays through the windows, which have the same expectation. References are
 stored in --cache, so an interrupted command resumes. A true error is *not known* if its standard error
-exceeds a quarter of it.
+exceeds a quarter of it. The bias of the irradiance cache is that of undenoised, unclamped paths that use it,
+--cached-samples per pixel, in whole views and in blocks of 16x16 pixels.
 """
 
 from __future__ import annotations
@@ -42,12 +43,17 @@ from datagen.rendering.transport.integrator import PathTracer
 BUNDLED = ("living_room", "kitchen", "bathroom", "dining_room", "study")
 IMPORTED = ("staircase", "veach-ajar", "bathroom2", "staircase2", "contemporary")
 FOLDERS = {"contemporary": "bathroom"}  # scenes with the same name as a bundled room
+BLOCK_PX = 16
 IMAGE = REPOSITORY / "docs" / "images" / "recorded_error.png"
 
 
 @dataclass(frozen=True)
 class Point:
-    """A view's recorded and true exposed relMSE, standard error of the true one, and brightness error."""
+    """A view's recorded and true exposed relMSE, standard error of the true one, and brightness error.
+
+    ``cache_bias`` and ``block_bias`` are relative errors of paths with the irradiance cache, in the mean and
+    in the worst block. The latter is reduced by two standard errors.
+    """
 
     room: str
     view: int
@@ -57,6 +63,8 @@ class Point:
     true_error: float
     bias: float
     cell_m: float | None
+    cache_bias: float
+    block_bias: float
 
     @property
     def is_known(self) -> bool:
@@ -105,6 +113,26 @@ def references(
     return [np.load(path) for path in paths]
 
 
+def cache_bias(
+    renderer: SceneRenderer, view: int, parts: list[NDArray[np.float32]], samples: int
+) -> tuple[float, float]:
+    """:class:`Point`'s ``cache_bias`` and ``block_bias`` of a view with the references ``parts``."""
+    sensor = renderer.sensor(renderer.configuration.cameras[view].camera())
+    images = [renderer.tracer.accumulate(sensor, samples // PARTS, part).mean() for part in range(PARTS)]
+    cached, plain = (np.stack([_block_means(luminance(image)) for image in p]) for p in (images, parts))
+    bias = cached.mean(axis=0) - plain.mean(axis=0)
+    error = np.sqrt((cached.var(axis=0, ddof=1) + plain.var(axis=0, ddof=1)) / PARTS)
+    relative = np.maximum(np.abs(bias) - 2.0 * error, 0.0) / plain.mean(axis=0)
+    return float(bias.mean() / plain.mean()), float(relative.max())
+
+
+def _block_means(image: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Means (h, w) of blocks of an image (H, W)."""
+    rows, columns = (n // BLOCK_PX for n in image.shape)
+    blocks = image[: rows * BLOCK_PX, : columns * BLOCK_PX].reshape(rows, BLOCK_PX, columns, BLOCK_PX)
+    return blocks.mean(axis=(1, 3))
+
+
 def points_of(room: str, arguments: argparse.Namespace) -> Iterator[Point]:
     """Render the views of a room and yield a point for each."""
     size = (arguments.size[0], arguments.size[1])
@@ -115,7 +143,8 @@ def points_of(room: str, arguments: argparse.Namespace) -> Iterator[Point]:
         lights = renderer.view_job(index).visible_emission
         folder = arguments.cache / "plain"
         folder.mkdir(parents=True, exist_ok=True)
-        parts = [p + lights for p in references(renderer, room, index, arguments.samples, folder)]
+        plain = references(renderer, room, index, arguments.samples, folder)
+        parts = [part + lights for part in plain]
         view = renderer.render_view(index)
         image, record = view.buffers["beauty"], view.render
         true, true_error = relative_mse_of_parts(image, parts, exposed=True)
@@ -123,13 +152,13 @@ def points_of(room: str, arguments: argparse.Namespace) -> Iterator[Point]:
         assert record.estimated_rel_mse is not None
         yield Point(
             room, index, record.path_samples, record.estimated_rel_mse, true, true_error, bias,
-            record.irradiance_cell_m,
+            record.irradiance_cell_m, *cache_bias(renderer, index, plain, arguments.cached_samples),
         )  # fmt: skip
     renderer.close()
 
 
 def figures(points: list[Point]) -> dict[str, Any]:
-    """Statistics, by name, of the ratio of recorded to true error over views of known true error."""
+    """Statistics, by name, of biases, and of recorded over true error in views of known true error."""
     known = [p for p in points if p.is_known]
     ratios = np.array([p.recorded / p.true for p in known])
     return {
@@ -140,6 +169,8 @@ def figures(points: list[Point]) -> dict[str, Any]:
         "least": round(float(ratios.min()), 3),
         "median": round(float(np.median(ratios)), 3),
         "most": round(float(ratios.max()), 3),
+        "largest_cache_bias": round(max(abs(p.cache_bias) for p in points), 5),
+        "largest_block_bias": round(max(p.block_bias for p in points), 4),
     }
 
 
@@ -172,6 +203,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, nargs=2, default=(96, 64))
     parser.add_argument("--views", type=int, default=4)
     parser.add_argument("--samples", type=int, default=1024, help=f"plain paths per pixel, in {PARTS} parts")
+    parser.add_argument("--cached-samples", type=int, default=512, help="paths per pixel with the cache")
     parser.add_argument("--quality", choices=("draft", "standard"), default="standard")
     parser.add_argument("--cache", type=Path, default=RESULTS)
     parser.add_argument("--out", type=Path, default=RESULTS / "bench_recorded_error.json")
