@@ -7,7 +7,8 @@ import numpy as np
 
 from scenes.sources.environments.room import Room
 from scenes.sources.modelling import PartBuilder
-from scenes.sources.shapes import Shape, box, cylinder, frame, join, lathe, panel, sheet, tube
+from scenes.sources.parts import drum_shade, spider
+from scenes.sources.shapes import Shape, box, frame, lathe, panel, sheet, tube
 
 
 def rug(
@@ -42,21 +43,6 @@ def floor_lamp(room: Room, x: float, y: float, height: float = 1.55) -> None:
     w["floor_lamp", "hardware"] += spider(0.155, height - 0.03)
     w.place("floor_lamp", x, y)
     room.point_slot("floor lamp", (x, y, height - 0.12))
-
-
-def drum_shade(top: float, bottom: float, height: float, segments: int = 36) -> Shape:
-    """An open conical shade with the radii ``top`` and ``bottom``, 3 mm thick."""
-    t = 0.003
-    outside = [(bottom, 0.0), (bottom + t / 2, 0.002), (top + t / 2, height - 0.002), (top, height)]
-    inside = [(top - t / 2, height - 0.002), (bottom - t / 2, 0.002), (bottom, 0.0)]
-    return lathe([*outside, *inside], segments)
-
-
-def spider(radius: float, z: float) -> Shape:
-    arms = [
-        tube([(0, 0, z), (radius * np.cos(a), radius * np.sin(a), z)], 0.0018, 6) for a in (0.3, 2.4, 4.5)
-    ]
-    return join([*arms, cylinder(0.012, 0.16, (0, 0, z - 0.15), 0.002, 12)])
 
 
 def pendant(

@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sources of objects: titles, categories and slots in objects.yaml, and modules that build them."""
+"""Sources of objects: tables in objects.yaml, and modules that build the shapes that are computed."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
+from functools import partial
 from typing import Any
 
 from scenes.sources.materials.catalogue import Slot, slots_of, table
 from scenes.sources.modelling import PartBuilder
+from scenes.sources.objects import books_and_paper, devices, fruit, household, living, play, shoes
+from scenes.sources.parts import Parts, add_parts
 
 
 @dataclass(frozen=True)
@@ -33,13 +35,15 @@ class ObjectSource:
         return -limit, limit
 
 
-def _source(module: str, name: str, /, about: dict[str, Any], **slots: dict[str, Any]) -> ObjectSource:
-    build = getattr(import_module(f"{__name__}.{module}"), name)
+def _source(
+    name: str, /, about: dict[str, Any], parts: Parts | None = None, **slots: dict[str, Any]
+) -> ObjectSource:
+    if parts is None:
+        build = next(getattr(module, name) for module in _MODULES if hasattr(module, name))
+    else:
+        build = partial(add_parts, parts=parts)
     return ObjectSource(**about, slots=slots_of(slots), build=build)
 
 
-OBJECTS = {
-    name: _source(module, name, **row)
-    for module, rows in table("objects/objects.yaml").items()
-    for name, row in rows.items()
-}
+_MODULES = (books_and_paper, devices, fruit, household, living, play, shoes)
+OBJECTS = {name: _source(name, **row) for name, row in table("objects/objects.yaml").items()}

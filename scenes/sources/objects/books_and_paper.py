@@ -10,10 +10,8 @@ from scenes.sources.modelling import PartBuilder
 from scenes.sources.shapes import (
     Shape,
     box,
-    cylinder,
     grid,
     hoop,
-    lathe,
     mirrored,
     panel,
     sheet,
@@ -116,19 +114,6 @@ def box_cardboard(w: PartBuilder) -> None:
     ]
 
 
-def box_wooden(w: PartBuilder) -> None:
-    w["box", "wood"] += [
-        box((0.24, 0.16, 0.07), bevel=0.003, segments=2, grain=0),
-        box((0.246, 0.166, 0.03), (0, 0, 0.0715), 0.005, 2, grain=0),
-    ]
-    w["box", "brass"] += [
-        box((0.026, 0.004, 0.03), (0, -0.0835, 0.056), 0.0015, 2),
-        cylinder(0.0045, 0.006, segments=16, bevel=0.001).turned("x", 90, (0, -0.085, 0.066)),
-    ]
-    for x in (-0.07, 0.07):
-        w["box", "brass"] += tube([(x - 0.014, 0.084, 0.071), (x + 0.014, 0.084, 0.071)], 0.004, 8)
-
-
 def basket(w: PartBuilder) -> None:
     w["basket", "weave"] += vessel(
         [(0.12, 0.002), (0.135, 0.012), (0.15, 0.08), (0.158, 0.15)], 0.009, smooth=3
@@ -142,20 +127,6 @@ def basket(w: PartBuilder) -> None:
     w["lining", "lining"] += vessel(
         [(0.112, 0.013), (0.127, 0.02), (0.139, 0.08), (0.1465, 0.148)], 0.003, smooth=3
     )
-
-
-def box_shoe(w: PartBuilder) -> None:
-    w["box", "body"] += box((0.325, 0.195, 0.11), bevel=0.0012)
-    w["box", "lid"] += box((0.331, 0.201, 0.036), (0, 0, 0.079), 0.0015, 2)
-
-
-def box_tin(w: PartBuilder) -> None:
-    sides = [(0, 0), (0.087, 0), (0.09, 0.003), (0.09, 0.06), (0.0925, 0.0605), (0.0925, 0.085)]
-    lid = [(0.088, 0.0905), (0.08, 0.0905), (0.078, 0.088), (0, 0.089)]
-    w["tin", "tin"] += lathe([*sides, *lid], 48)
-    w["tin", "rim"] += [
-        hoop(radius, 0.0016, z, 48, 6) for radius, z in ((0.0925, 0.061), (0.0905, 0.0895), (0.0895, 0.002))
-    ]
 
 
 def bag_paper(w: PartBuilder) -> None:

@@ -12,32 +12,11 @@ from scenes.sources.shapes import (
     extrude,
     hoop,
     lathe,
-    mirrored,
     panel,
     rounded_rectangle,
     soft_box,
     tube,
 )
-
-
-def radio(w: PartBuilder) -> None:
-    w["radio", "case"] += soft_box((0.3, 0.13, 0.17), (0, 0, 0.008), 0.022, (0, 0, 0), 8)
-    w["radio", "front"] += extrude(rounded_rectangle(0.272, 0.142, 0.014, 5), 0.006, 0.002).turned(
-        "x", 90, (0, -0.0625, 0.093)
-    )
-    w["radio", "grille"] += panel(0.145, 0.115, (-0.052, -0.0688, 0.036))
-    w["radio", "dial"] += extrude(rounded_rectangle(0.085, 0.036, 0.004, 3), 0.002, 0.0006).turned(
-        "x", 90, (0.077, -0.068, 0.134)
-    )
-    for x in (0.052, 0.102):
-        lower = [(0, 0), (0.016, 0), (0.0165, 0.003), (0.014, 0.005)]
-        upper = [(0.0135, 0.016), (0.011, 0.018), (0, 0.0182)]
-        w["radio", "knob"] += lathe([*lower, *upper], 28).turned("x", 90, (x, -0.0685, 0.075))
-    for x in (-0.12, 0.12):
-        for y in (-0.04, 0.04):
-            w["radio", "front"] += cylinder(0.009, 0.01, (x, y, 0), 0.002, 16)
-    handle = mirrored([(-0.1, 0, 0.176), (-0.1, 0, 0.2), (-0.085, 0, 0.212)])
-    w["radio", "knob"] += tube(handle, 0.0045, 10, smooth=3)
 
 
 def headphones(w: PartBuilder) -> None:
@@ -75,24 +54,6 @@ def headphones(w: PartBuilder) -> None:
     w["band", "pads"] += pad.moved(z=0.034).bent(leaning)
 
 
-def speaker(w: PartBuilder) -> None:
-    w["speaker", "case"] += box((0.18, 0.22, 0.3), (0, 0, 0.006), 0.006, 2, grain=2)
-    w["speaker", "cone"] += extrude(rounded_rectangle(0.168, 0.288, 0.008, 3), 0.003, 0.001).turned(
-        "x", 90, (0, -0.1095, 0.156)
-    )
-    for z, r in ((0.105, 0.068), (0.235, 0.034)):
-        rim = lathe(
-            [(r - 0.008, 0), (r, 0), (r, 0.004), (r - 0.004, 0.006), (r - 0.008, 0.003), (r - 0.008, 0)], 44
-        )
-        w["speaker", "ring"] += rim.turned("x", 90, (0, -0.1115, z))
-        front = [(0, -0.012), (0.3 * r, -0.008), (0.32 * r, -0.014), (0.72 * r, -0.002), (0.8 * r, 0.004)]
-        cone = lathe([*front, (0.9 * r, 0.001), (0.92 * r, -0.004), (0, -0.02)], 40)
-        w["speaker", "cone"] += cone.moved(z=0.004).turned("x", 90, (0, -0.1115, z))
-    for x in (-0.07, 0.07):
-        for y in (-0.09, 0.09):
-            w["speaker", "cloth"] += cylinder(0.01, 0.007, (x, y, 0), 0.002, 14)
-
-
 def laptop(w: PartBuilder) -> None:
     w["base", "case"] += extrude(rounded_rectangle(0.32, 0.22, 0.012, 5), 0.013, 0.003, 2).moved(z=0.001)
     for row in range(5):
@@ -113,33 +74,6 @@ def laptop(w: PartBuilder) -> None:
         0, -0.0032 * np.sin(np.radians(lean)), 0.0032 * np.cos(np.radians(lean))
     )
     w["base", "case"] += tube([(-0.13, 0.108, 0.0135), (0.13, 0.108, 0.0135)], 0.0045, 10)
-
-
-def phone(w: PartBuilder) -> None:
-    w["phone", "case"] += extrude(rounded_rectangle(0.072, 0.148, 0.011, 6), 0.0078, 0.0024, 3)
-    w["phone", "screen"] += panel(0.0655, 0.1405).turned("x", -90, (0, -0.07025, 0.00795))
-
-
-def camera(w: PartBuilder) -> None:
-    outline = rounded_rectangle(0.132, 0.036, 0.012, 5)
-    w["camera", "skin"] += extrude(outline, 0.05, 0.002).moved(z=0.01)
-    w["camera", "body"] += extrude(outline, 0.0105, 0.002)
-    w["camera", "top"] += [
-        extrude(outline, 0.018, 0.003, 2).moved(z=0.06),
-        box((0.034, 0.034, 0.014), (-0.004, 0, 0.076), 0.005, 2),
-    ]
-    barrel = [(0, 0), (0.03, 0), (0.03, 0.008), (0.0275, 0.01), (0.0275, 0.022), (0.0295, 0.024)]
-    rim = [(0.0295, 0.036), (0.027, 0.038), (0.024, 0.038), (0.0215, 0.032), (0, 0.031)]
-    w["camera", "body"] += lathe([*barrel, *rim], 40).turned("x", 90, (-0.004, -0.016, 0.037))
-    w["camera", "glass"] += lathe(
-        [(0, 0.0365), (0.012, 0.0352), (0.021, 0.0318), (0.0213, 0.031), (0, 0.031)], 32
-    ).turned("x", 90, (-0.004, -0.016, 0.037))
-    w["camera", "top"] += [
-        cylinder(0.0085, 0.008, (0.042, 0, 0.077), 0.001, 24),
-        cylinder(0.0045, 0.006, (0.056, -0.004, 0.077), 0.001, 16),
-        cylinder(0.0095, 0.007, (-0.045, 0, 0.077), 0.001, 24),
-    ]
-    w["camera", "glass"] += box((0.016, 0.002, 0.009), (-0.004, -0.0172, 0.078), 0.0006)
 
 
 def keyboard(w: PartBuilder) -> None:

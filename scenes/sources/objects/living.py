@@ -36,10 +36,6 @@ def _piping(sx: float, sy: float, z: float, radius: float, pinch: float = 0.07) 
     return tube(np.concatenate(path), radius, 6, closed=True)
 
 
-def cushion_stripe(w: PartBuilder) -> None:
-    w["cushion", "cover"] += pillow((0.55, 0.36, 0.15), 13, seed=8)
-
-
 def cushion_round(w: PartBuilder) -> None:
     lower = [(0, 0.012), (0.03, 0.002), (0.1, 0.0), (0.17, 0.012), (0.196, 0.045)]
     upper = [(0.19, 0.085), (0.15, 0.108), (0.08, 0.112), (0.03, 0.1), (0.012, 0.086), (0, 0.084)]

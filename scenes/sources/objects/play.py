@@ -11,7 +11,6 @@ from scenes.sources.shapes import (
     box,
     cylinder,
     extrude,
-    hoop,
     lathe,
     loft,
     smooth_curve,
@@ -220,16 +219,3 @@ def toy_train(w: PartBuilder) -> None:
                 "x", 90 if side < 0 else -90, (x, side * 0.0265, 0.015)
             )
     w["wagon", "bare"] += tube([(0.062, 0, 0.019), (0.088, 0, 0.019)], 0.0032, 8)
-
-
-def spinning_top(w: PartBuilder) -> None:
-    w["toy", "bare"] += [
-        lathe([(0, 0), (0.058, 0), (0.061, 0.004), (0.056, 0.014), (0, 0.016)], 40),
-        cylinder(0.011, 0.135, (0, 0, 0.01), 0.003, 20),
-    ]
-    z = 0.0165
-    for slot, radius in (("d", 0.054), ("c", 0.046), ("b", 0.038), ("a", 0.031)):
-        thick = 0.0135
-        w["toy", slot] += hoop(radius - thick, thick, z + thick, 40, 14)
-        z += 2 * thick
-    w["toy", "a"] += sphere(0.019, (0, 0, z + 0.019), 24)
