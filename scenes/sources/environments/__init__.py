@@ -1,31 +1,49 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sources of environments: title and slots in rooms.yaml, and for each room a module that builds it."""
+"""Sources of environments: tables in rooms.yaml, and for each room a module with a function that furnishes it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
+from typing import Any
 
 import bpy
 
+from scenes.sources.environments.room import Door, Room, Window
 from scenes.sources.materials.catalogue import Slot, slots_of, table
 from scenes.sources.modelling import PartBuilder
+from scenes.sources.shapes import Point
 
 
 @dataclass(frozen=True)
 class EnvironmentSource:
-    """The source of a room: ``build`` adds it to a collection that is tagged as an environment."""
+    """The source of a room. ``shell``: its size and openings, as arguments of :class:`Room`; ``camera_regions``: low
+    and high corners by name [m].
+    """
 
     title: str
     slots: dict[str, Slot]
-    build: Callable[[PartBuilder, bpy.types.Collection], None]
+    shell: dict[str, Any]
+    camera_regions: dict[str, tuple[Point, Point]]
+    furnish: Callable[[Room], None]
+
+    def build(self, builder: PartBuilder, collection: bpy.types.Collection) -> None:
+        """Add the room to a collection that is tagged as an environment."""
+        room = Room(builder, collection, **self.shell)
+        room.build_shell()
+        self.furnish(room)
+        for name, corners in self.camera_regions.items():
+            room.camera_region(name, *corners)
+
+
+def _source(name: str, /, title: str, slots: dict[str, Any], windows: Any, doors: Any, shell: Any,
+            camera_regions: Any) -> EnvironmentSource:  # fmt: skip
+    openings = {"windows": [Window(*row) for row in windows], "doors": [Door(*row) for row in doors]}
+    furnish = getattr(import_module(f"{__name__}.{name}"), name)
+    return EnvironmentSource(title, slots_of(slots), {**shell, **openings}, camera_regions, furnish)
 
 
 ENVIRONMENTS = {
-    name: EnvironmentSource(
-        row["title"], slots_of(row["slots"]), getattr(import_module(f"{__name__}.{name}"), name)
-    )
-    for name, row in table("environments/rooms.yaml").items()
-    if "title" in row
+    name: _source(name, **row) for name, row in table("environments/rooms.yaml").items() if "title" in row
 }

@@ -3,23 +3,15 @@
 
 from __future__ import annotations
 
-import bpy
-
 from scenes.sources.environments import decor, furniture, storage
-from scenes.sources.environments.room import Door, Room, Window
-from scenes.sources.modelling import PartBuilder
-from scenes.sources.shapes import box, lathe, tube
+from scenes.sources.environments.room import Room
+from scenes.sources.shapes import box
 
 
-def dining_room(w: PartBuilder, collection: bpy.types.Collection) -> None:
-    windows = (
-        Window("south", 1.05, 1.2, 0.45, 1.85, (2, 3)),
-        Window("south", -1.05, 1.2, 0.45, 1.85, (2, 3)),
-    )
-    room = Room(w, collection, 4.6, 3.8, 2.75, windows, (Door("west", -1.1, 0.9, 2.08),))
-    room.build_shell(skirting=0.14)
+def dining_room(room: Room) -> None:
+    w = room.builder
     _panelling(room)
-    for k, window in enumerate(windows):
+    for k, window in enumerate(room.windows):
         room.curtains(window, "curtains", open_share=0.66, seed=30 + k)
     decor.rug(w, "rug", "rug", (3.0, 2.1), (0.0, 0.05), border="rug_border", seed=6)
     furniture.table(w, "table", size=(1.9, 0.95), height=0.75, leg=0.085, thick=0.036)
@@ -37,13 +29,7 @@ def dining_room(w: PartBuilder, collection: bpy.types.Collection) -> None:
     room.place("north", "sideboard", 0.2, gap=0.02)
     room.surface("sideboard", "table", "north", 0.2, 1.6, 0.06, 0.44, 0.88, 0.42)
     _dresser(room)
-    # a round mirror over the sideboard
-    w["mirror", "brass"] += lathe(
-        [(0.3, 0), (0.345, 0.002), (0.35, 0.012), (0.335, 0.026), (0.312, 0.022), (0.3, 0.01), (0.3, 0)],
-        56,
-    ).turned("x", 90)
-    w["mirror", "mirror"] += lathe([(0, 0.008), (0.31, 0.008), (0.31, 0.012), (0, 0.012)], 48).turned("x", 90)
-    room.place("north", "mirror", 0.2, z=1.75, gap=0.002)
+    room.add("round_mirror", "north", 0.2, z=1.75, gap=0.002, part="mirror")
     decor.picture(w, "picture", size=(0.55, 0.7), art="art_landscape")
     room.place("east", "picture", 0.65, z=1.72, gap=0.004)
     decor.pendant(room, 0.0, 0.05, drop=1.0, radius=0.26, slot_m=0.3, metal="brass")
@@ -51,11 +37,8 @@ def dining_room(w: PartBuilder, collection: bpy.types.Collection) -> None:
         _sconce(room, k, s)
     decor.plant(w, height=1.15, seed=21, pot_radius=0.15, leaves=26)
     w.place("plant", -1.98, 1.55)
-    w.build(collection)
+    w.build(room.collection)
     room.surface_at("floor", "floor", (-1.85, 0.2), (0.6, 1.2), 0.0, 2.2)
-    room.camera_region("south side", (-2.1, -1.65, 0.02), (2.1, -1.05, 2.3))
-    room.camera_region("west side", (-2.2, -1.65, 0.02), (-1.25, 0.95, 2.3))
-    room.camera_region("over the table", (-2.1, -1.5, 0.95), (1.75, 1.05, 1.7))
 
 
 def _panelling(room: Room) -> None:
@@ -81,12 +64,6 @@ def _dresser(room: Room) -> None:
 
 def _sconce(room: Room, number: int, s: float) -> None:
     """Add a wall lamp at ``s`` along the wall, next to the mirror."""
-    w = room.builder
     part = f"sconce_{number}"
-    plate = lathe([(0, 0), (0.05, 0), (0.052, 0.006), (0.03, 0.014), (0, 0.016)], 28)
-    arm = [(0, -0.01, 0), (0, -0.07, -0.02), (0, -0.11, 0.0), (0, -0.115, 0.05)]
-    cup = lathe([(0, 0.045), (0.02, 0.047), (0.024, 0.055), (0.012, 0.06), (0.01, 0.11), (0, 0.11)], 20)
-    w[part, "brass"] += [plate.turned("x", 90), tube(arm, 0.006, 10, smooth=4), cup.moved(0, -0.115, 0)]
-    w[part, "lamp_shade"] += decor.drum_shade(0.05, 0.075, 0.12, 28).moved(0, -0.115, 0.085)
-    room.place("north", part, s, z=1.75)
+    room.add("sconce", "north", s, z=1.75, part=part)
     room.point_slot(f"sconce {number}", (s, room.depth / 2 - 0.115, 1.75 + 0.15))

@@ -3,19 +3,13 @@
 
 from __future__ import annotations
 
-import bpy
-
 from scenes.sources.environments import decor, furniture, storage
-from scenes.sources.environments.room import Door, Room, Window
-from scenes.sources.modelling import PartBuilder
-from scenes.sources.shapes import box, extrude, rounded_rectangle
+from scenes.sources.environments.room import Room
 
 
-def living_room(w: PartBuilder, collection: bpy.types.Collection) -> None:
-    windows = (Window("east", 0.95, 1.35, 0.6, 1.65, (2, 2)), Window("east", -0.95, 1.35, 0.6, 1.65, (2, 2)))
-    room = Room(w, collection, 5.2, 4.4, 2.6, windows, (Door("west", -1.45),))
-    room.build_shell()
-    for k, window in enumerate(windows):
+def living_room(room: Room) -> None:
+    w = room.builder
+    for k, window in enumerate(room.windows):
         room.curtains(window, "curtains", open_share=0.6, seed=k)
     decor.radiator(room, "east", 0.95, width=0.9, height=0.38)
     _seating(room)
@@ -30,13 +24,9 @@ def living_room(w: PartBuilder, collection: bpy.types.Collection) -> None:
     decor.floor_lamp(room, -2.2, -1.72)
     decor.plant(w, height=1.3, seed=2, pot_radius=0.17, leaves=30)
     w.place("plant", 2.1, 1.8)
-    w.build(collection)
+    w.build(room.collection)
     room.surface_at("floor east", "floor", (1.3, 0.0), (0.8, 1.5), 0.0, 2.2)
     room.surface_at("floor west", "floor", (-2.15, -0.5), (0.7, 1.1), 0.0, 2.2)
-    room.camera_region("middle", (0.75, -0.95, 0.02), (1.95, 0.75, 2.2))
-    room.camera_region("before the sideboard", (-1.75, 0.55, 0.02), (0.75, 1.5, 2.2))
-    room.camera_region("by the door", (-2.4, -1.25, 0.02), (-1.75, 0.05, 2.2))
-    room.camera_region("over the table", (-1.7, -0.95, 0.62), (1.9, 0.75, 1.9))
 
 
 def _seating(room: Room) -> None:
@@ -57,11 +47,7 @@ def _tables(room: Room) -> None:
     w.place("coffee_table", -0.5, -0.3, 0.011)
     room.surface_at("coffee table", "table", (-0.5, -0.3), (1.05, 0.54), 0.431, 1.0)
     room.surface_at("coffee table shelf", "shelf", (-0.5, -0.3), (0.8, 0.34), 0.171, 0.13)
-    w["side_table", "side_table"] += [
-        extrude(rounded_rectangle(0.46, 0.46, 0.22, 10), 0.022, 0.006, 2).moved(z=0.5),
-        box((0.05, 0.05, 0.5), (0, 0, 0.01), 0.01, 2),
-        extrude(rounded_rectangle(0.34, 0.34, 0.165, 10), 0.015, 0.004),
-    ]
+    room.add("side_table")
     w.place("side_table", 0.85, -1.72)
     room.surface_at("side table", "table", (0.85, -1.72), (0.3, 0.3), 0.522, 1.2)
 
@@ -70,13 +56,7 @@ def _storage(room: Room) -> None:
     w = room.builder
     storage.cabinet(w, "sideboard", (1.9, 0.42, 0.55), 3, (0.4, 0.6), plinth=0.1)
     room.place("north", "sideboard", -0.5, gap=0.005)
-    w["tv", "tv_case"] += [
-        box((1.12, 0.035, 0.645), (0, -0.2, 0.05), 0.006, 2),
-        box((0.5, 0.2, 0.012), (0, -0.2, 0), 0.004, 2),
-        box((0.1, 0.04, 0.1), (0, -0.185, 0.005), 0.005),
-    ]
-    w["tv", "tv_screen"] += box((1.1, 0.004, 0.62), (0, -0.2185, 0.064), 0.001)
-    room.place("north", "tv", -0.62, z=0.55)
+    room.add("tv", "north", -0.62, z=0.55)
     for name, s, width in (("left", -1.32, 0.2), ("right", 0.22, 0.4)):
         room.surface(f"sideboard {name}", "table", "north", s, width, 0.04, 0.38, 0.55, 1.0)
     levels = (0.09, 0.44, 0.80, 1.16, 1.52)

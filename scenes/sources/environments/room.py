@@ -16,10 +16,13 @@ import bpy
 import numpy as np
 from numpy.typing import ArrayLike
 
+from scenes.sources.materials.catalogue import table
 from scenes.sources.modelling import PartBuilder, tag
+from scenes.sources.parts import add_parts
 from scenes.sources.shapes import Face, Point, Shape, box, box_uvs, cylinder, frame, join, sheet, tube
 
 THICKNESS = 0.28
+_PARTS = table("environments/parts.yaml")
 _WALLS = {"north": 0.0, "west": 90.0, "south": 180.0, "east": -90.0}
 
 
@@ -54,8 +57,9 @@ class Room:
     width: float
     depth: float
     height: float
-    windows: tuple[Window, ...] = ()
-    doors: tuple[Door, ...] = ()
+    windows: Sequence[Window] = ()
+    doors: Sequence[Door] = ()
+    skirting: float = 0.09
 
     def frame(self, wall: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Origin (3,) of a wall's frame in the room, and its unit vectors to the right and out of the room."""
@@ -70,6 +74,14 @@ class Room:
     def on_wall(self, wall: str, shape: Shape, s: float = 0.0, gap: float = 0.0, z: float = 0.0) -> Shape:
         """Move a shape from a wall's frame into the room: ``s`` along the wall, ``gap`` away from it, up by ``z``."""
         return shape.moved(s, -gap, z).turned("z", _WALLS[wall], self.frame(wall)[0])
+
+    def add(
+        self, name: str, wall: str = "", s: float = 0.0, gap: float = 0.0, z: float = 0.0, *, part: str = ""
+    ) -> None:
+        """Add the shapes ``name`` of parts.yaml as a part, by default of the same name, placed at ``wall``, if given."""
+        add_parts(self.builder, {part or name: _PARTS[name]})
+        if wall:
+            self.place(wall, part or name, s, gap, z)
 
     def place(self, wall: str, part: str, s: float, gap: float = 0.0, z: float = 0.0) -> None:
         """Place a part at a wall as :meth:`on_wall` does."""
@@ -102,15 +114,15 @@ class Room:
             start = high
 
     # the shell -------------------------------------------------------------------------------------------
-    def build_shell(self, skirting: float = 0.09) -> None:
+    def build_shell(self) -> None:
         """Build floor, ceiling, walls with their openings, skirting, windows and doors."""
         w, d, h, t = self.width, self.depth, self.height, THICKNESS
         self.builder["floor", "floor"] += box((w + 2 * t, d + 2 * t, 0.2), (0, 0, -0.2), bevel=0, grain=0)
         self.builder["ceiling", "ceiling"] += box((w + 2 * t, d + 2 * t, 0.2), (0, 0, h), bevel=0)
         for wall in _WALLS:
             self.builder["walls", "walls"] += self._wall(wall)
-            if skirting:
-                self._skirting(wall, skirting)
+            if self.skirting:
+                self._skirting(wall, self.skirting)
         for number, window in enumerate(self.windows):
             self._window(window, number)
         for door in self.doors:

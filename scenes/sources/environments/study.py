@@ -3,19 +3,15 @@
 
 from __future__ import annotations
 
-import bpy
 import numpy as np
 
 from scenes.sources.environments import decor, furniture, storage
-from scenes.sources.environments.room import Door, Room, Window
-from scenes.sources.modelling import PartBuilder
-from scenes.sources.shapes import box, cylinder, extrude, frame, lathe, rounded_rectangle, soft_box, tube
+from scenes.sources.environments.room import Room
+from scenes.sources.shapes import box, cylinder, frame, lathe, soft_box, tube
 
 
-def study(w: PartBuilder, collection: bpy.types.Collection) -> None:
-    windows = (Window("north", -0.45, 1.5, 0.88, 1.35, (2, 1)), Window("east", 0.2, 0.9, 0.88, 1.35, (1, 2)))
-    room = Room(w, collection, 3.8, 3.2, 2.5, windows, (Door("south", 1.2),))
-    room.build_shell(skirting=0.11)
+def study(room: Room) -> None:
+    w = room.builder
     _desk(room)
     _bookcase(room)
     furniture.sofa(
@@ -33,22 +29,13 @@ def study(w: PartBuilder, collection: bpy.types.Collection) -> None:
     decor.floor_lamp(room, 1.55, -0.2, height=1.5)
     decor.plant(w, height=1.05, seed=9, pot_radius=0.14, leaves=24)
     w.place("plant", 1.5, 1.22)
-    w.build(collection)
+    w.build(room.collection)
     room.surface_at("floor", "floor", (-0.35, -0.75), (1.1, 0.7), 0.0115, 2.2)
-    room.camera_region("middle", (-1.15, -1.35, 0.02), (0.36, -0.15, 2.2))
-    room.camera_region("beside the chair", (-0.4, -0.15, 0.02), (0.36, 0.72, 2.2))
-    room.camera_region("above the desk", (-1.1, -1.2, 1.15), (0.8, 0.65, 2.1))
 
 
 def _desk(room: Room) -> None:
     w = room.builder
-    w["desk", "desk"] += box((1.6, 0.75, 0.03), (0, -0.375, 0.715), 0.006, 2, grain=0)
-    for x in (-0.74, 0.74):
-        for y in (-0.06, -0.69):
-            w["desk", "desk_legs"] += box((0.045, 0.045, 0.715), (x, y, 0), 0.003, grain=2)
-        w["desk", "desk_legs"] += box((0.03, 0.6, 0.04), (x, -0.375, 0.675), 0.002, grain=1)
-    w["desk", "desk_legs"] += box((1.44, 0.03, 0.05), (0, -0.06, 0.665), 0.002, grain=0)
-    room.place("north", "desk", -0.45, gap=0.06)
+    room.add("desk", "north", -0.45, gap=0.06)
     rows = (1, 1, 1.6)
     storage.cabinet(w, "drawers", (0.42, 0.52, 0.56), 1, rows, plinth=0.03, top_thick=0.012, overhang=0.0)
     room.place("north", "drawers", 0.02, gap=0.16)
@@ -88,9 +75,7 @@ def _desk(room: Room) -> None:
         arm = ((0.16, 0.02, 0.42), (0.27, 0.02, 0.43), (0.29, 0.02, 0.5), (0.287, 0.0, 0.66))
         w["chair", "chair_base"] += tube([(side * x, y, z) for x, y, z in arm], 0.011, 10, smooth=4)
     w.place("chair", -0.75, 0.28, 0, 164)
-    outside = [(0, 0.0), (0.1, 0.0), (0.105, 0.004), (0.13, 0.29), (0.133, 0.295), (0.13, 0.298)]
-    inside = [(0.127, 0.29), (0.102, 0.008), (0, 0.006)]
-    w["bin", "bin"] += lathe([*outside, *inside], 36)
+    room.add("bin")
     w.place("bin", 0.52, 1.32)
 
 
@@ -129,9 +114,5 @@ def _board(room: Room) -> None:
             "x", 90, (x, -0.0145, z + size[1] * 0.9)
         )
     room.place("east", "board", -0.85, z=1.25)
-    w["wall_shelf", "desk"] += [
-        box((0.9, 0.2, 0.024), (0, -0.1, 0), 0.004, 2, grain=0),
-        extrude(rounded_rectangle(0.02, 0.02, 0.004, 2), 0.01, 0.001).moved(0, -0.02, -0.009),
-    ]
-    room.place("south", "wall_shelf", -0.55, z=1.2)
+    room.add("wall_shelf", "south", -0.55, z=1.2)
     room.surface("wall shelf", "shelf", "south", -0.55, 0.84, 0.02, 0.18, 1.224, 0.12)
