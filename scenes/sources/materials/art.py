@@ -54,16 +54,10 @@ def cover(g: Graph, ground: Color, ink: Color, seed: float = 1.0, rough: float =
     bar = (abs(u - 0.5) < width * 0.5) * (rows.y > 0.45)
     letters = g.noise(60, 34, detail=0, seed=seed, spread=0.3) > 0.3
     ink_mask = is_title * bar * letters
-    field = _field(g, u, v)
+    field = (abs(u - 0.5) < 0.36) * (abs(v - 0.36) < 0.26)
     picture = g.mix(g.noise(4, detail=5, seed=seed + 3), g.shade(ink, 0.5), g.shade(ground, 1.3))
     color = g.mix(field, g.mix(ink_mask, ground, ink), picture)
     return g.finish(color, g.line(g.noise(6, detail=4, seed=seed + 8), 0, 1, rough - 0.08, rough + 0.12))
-
-
-def _field(g: Graph, u: Output, v: Output) -> Output:
-    across = abs(u - 0.5) < 0.36
-    up = abs(v - 0.36) < 0.26
-    return across * up
 
 
 def portrait(g: Graph, ground: Color, skin: Color, coat: Color, seed: float = 1.0) -> Material:

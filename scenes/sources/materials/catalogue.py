@@ -66,7 +66,7 @@ def _converted(value: Any) -> Any:
 
 def _builder(build: tuple[Any, ...], options: dict[str, Any]) -> Build:
     name, *arguments = build
-    family = next(getattr(module, name) for module in (made, natural, art) if hasattr(module, name))
+    family = next(getattr(module, name) for module in (made, natural, art, Graph) if hasattr(module, name))
     return lambda graph: family(graph, *arguments, **options)
 
 

@@ -8,11 +8,6 @@ from bpy.types import Material
 from scenes.sources.materials.graph import Color, Graph, Value, srgb
 
 
-def plain(g: Graph, color: Color, rough: float, *, metal: float = 0.0, ior: float = 1.5) -> Material:
-    """A material with constant channels."""
-    return g.finish(color, rough, metal, ior)
-
-
 def brushed_metal(
     g: Graph, color: Color, *, rough: float = 0.28, spread: float = 0.14, prints: bool = False, seed: float = 1.0
 ) -> Material:  # fmt: skip
