@@ -17,6 +17,7 @@ from datagen.formats.asset import (
     Part,
     Provenance,
     SlotMaterial,
+    SupportKind,
     SupportSurface,
     Texture,
 )
@@ -155,7 +156,8 @@ def _vector(value: ArrayLike) -> tuple[float, float, float]:
 
 
 def _supports(room: MadeRoom, rectangles: list[Rectangle]) -> list[SupportSurface]:
-    found = []
+    height = room.furnished.shell.height
+    found: list[tuple[str, SupportKind, ArrayLike, ArrayLike, ArrayLike, float]] = []
     shell_supports = [p for p in room.furnished.built if p.item.supports]
     for p in (*room.furnished.items, *shell_supports):
         matrix = p.room_from_item
@@ -164,30 +166,23 @@ def _supports(room: MadeRoom, rectangles: list[Rectangle]) -> list[SupportSurfac
             if min(w, d) < 0.05:
                 continue
             origin = matrix @ np.array([x - w / 2, y - d / 2, s.z, 1.0])
-            clear = min(s.clearance_m, room.furnished.shell.height - float(origin[2]) - 0.05)
-            found.append(
-                SupportSurface(
-                    name=f"{p.name} {k}",
-                    kind=s.kind,
-                    origin_m=_vector(origin[:3]),
-                    edge_u_m=_vector(matrix[:3, 0] * w),
-                    edge_v_m=_vector(matrix[:3, 1] * d),
-                    clearance_m=quantized(clear, 4),
-                )
-            )
+            clear = min(s.clearance_m, height - float(origin[2]) - 0.05)
+            edges = matrix[:3, 0] * w, matrix[:3, 1] * d
+            found.append((f"{p.name} {k}", s.kind, origin[:3], *edges, quantized(clear, 4)))
     for k, (low, high) in enumerate(rectangles[:_MAX_FLOORS]):
-        size = high - low
-        found.append(
-            SupportSurface(
-                name=f"floor {k}",
-                kind="floor",
-                origin_m=_vector([*low, 0.0]),
-                edge_u_m=(quantized(size[0], 4), 0.0, 0.0),
-                edge_v_m=(0.0, quantized(size[1], 4), 0.0),
-                clearance_m=2.0,
-            )
+        w, d = (quantized(side, 4) for side in high - low)
+        found.append((f"floor {k}", "floor", [*low, 0.0], (w, 0, 0), (0, d, 0), 2.0))
+    return [
+        SupportSurface(
+            name=name,
+            kind=kind,
+            origin_m=_vector(o),
+            edge_u_m=_vector(u),
+            edge_v_m=_vector(v),
+            clearance_m=clear,
         )
-    return found
+        for name, kind, o, u, v, clear in found
+    ]
 
 
 def _light_slots(room: MadeRoom) -> list[LightSlot]:
@@ -200,16 +195,9 @@ def _light_slots(room: MadeRoom) -> list[LightSlot]:
                 found.append(LightSlot(name=name, kind="point", origin_m=_vector(at)))
                 continue
             w, d = place.size
-            origin = at + np.array([-w / 2, d / 2, 0.0])
-            found.append(
-                LightSlot(
-                    name=name,
-                    kind="area",
-                    origin_m=_vector(origin),
-                    edge_u_m=(quantized(w, 6), 0.0, 0.0),
-                    edge_v_m=(0.0, -quantized(d, 6), 0.0),
-                )
-            )
+            corner = _vector(at + np.array([-w / 2, d / 2, 0.0]))
+            edge_u, edge_v = _vector((quantized(w, 6), 0, 0)), _vector((0, -quantized(d, 6), 0))
+            found.append(LightSlot(name=name, kind="area", origin_m=corner, edge_u_m=edge_u, edge_v_m=edge_v))
     return found
 
 

@@ -19,16 +19,14 @@ def bathtub(style: Style, draws: Draws) -> Item:
     item = Item("bathtub", front_m=0.55)
     w, d, h = draws.uniform(1.6, 1.8), draws.uniform(0.72, 0.8), 0.56
     c = -d / 2
-    rings = [
-        rounded_ring(w, d, 0.03, h - 0.05, (0, c)),
-        rounded_ring(w, d, 0.03, h - 0.012, (0, c)),
-        rounded_ring(w - 0.02, d - 0.02, 0.03, h, (0, c)),
-        rounded_ring(w - 0.16, d - 0.14, 0.16, h, (0, c)),
-        rounded_ring(w - 0.19, d - 0.17, 0.16, h - 0.02, (0, c)),
-        rounded_ring(w - 0.26, d - 0.22, 0.15, h - 0.25, (0, c)),
-        rounded_ring(w - 0.42, d - 0.3, 0.14, h - 0.4, (0, c)),
-        rounded_ring(w - 0.7, d - 0.44, 0.1, h - 0.42, (0, c)),
-    ]
+    outside = ((0, 0, 0.03, 0.05), (0, 0, 0.03, 0.012), (0.02, 0.02, 0.03, 0), (0.16, 0.14, 0.16, 0))
+    inside = (
+        (0.19, 0.17, 0.16, 0.02),
+        (0.26, 0.22, 0.15, 0.25),
+        (0.42, 0.3, 0.14, 0.4),
+        (0.7, 0.44, 0.1, 0.42),
+    )
+    rings = [rounded_ring(w - a, d - b, r, h - z, (0, c)) for a, b, r, z in (*outside, *inside)]
     item.add("sanitary", loft(np.array(rings), (False, True)))
     slot = draws.choice(("sanitary", "wall_tiles", "wood"))
     item.add(slot, box((w - 0.012, d - 0.012, h - 0.452), (0, c, 0), 0.002, grain=0))
