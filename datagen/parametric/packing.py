@@ -35,7 +35,7 @@ from datagen.parametric.prints import print_image
 from datagen.parametric.room import MadeRoom, make_room
 from datagen.parametric.shapes import Floats, Shape, joined
 from datagen.parametric.shell import openings
-from datagen.parametric.slots import METAL_SHARE, SLOTS, in_metal
+from datagen.parametric.slots import SLOTS, in_metal
 
 _LUMEN_PER_WATT = 179.0  # luminous efficacy of white light, by the convention of renderers
 _BALANCE_K, _WHITE_K = 4000.0, 6500.0  # lamp colours are as seen with a white balance of 4000 K
@@ -136,7 +136,7 @@ def _material(
             roughness=0.7,
             surface="cover",
         )
-    steel = kind.steel_fronts if slot == "front" else METAL_SHARE.get(slot, 0.0)
+    steel = kind.steel_fronts if slot == "front" else SLOTS[slot].metal_share
     if steel > draws.unit():
         return in_metal(slot)
     return SLOTS[slot].material(kind.floor if slot == "floor" else None)

@@ -6,7 +6,6 @@ Plans assign materials of the library to almost all slots; the plain colours rem
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +20,10 @@ Classes = tuple[MaterialClass, ...]
 
 @dataclass(frozen=True)
 class Slot:
-    """A slot with a plain material, which materials of ``classes`` may replace unless the slot is fixed."""
+    """A slot with a plain material, which materials of ``classes`` may replace unless the slot is fixed.
+
+    ``metal_share``: probability that the slot is of metal in a room.
+    """
 
     surface: Surface
     classes: Classes
@@ -29,6 +31,7 @@ class Slot:
     roughness: float = 0.5
     specular: UnitColor = (0.04, 0.04, 0.04)
     is_fixed: bool = False
+    metal_share: float = 0.0
 
     def material(self, classes: Classes | None = None) -> SlotMaterial:
         """Return the slot's plain material; ``classes``, if given, replaces the permitted classes."""
@@ -51,11 +54,6 @@ SLOTS = TypeAdapter(dict[str, Slot]).validate_python(
     yaml.safe_load(Path(__file__).with_name("slots.yaml").read_text("utf-8"))
 )
 """Slots by name; those of lamps (``glow``) and pictures (``art``) are added for each room."""
-METAL_SHARE: Mapping[str, float] = {
-    "appliance": 0.75, "frame": 0.35, "legs": 0.25, "machine": 0.5, "shade": 0.3, "slats": 0.5, "steel": 0.85,
-    "tool": 0.6, "worktop": 0.35,
-}  # fmt: skip
-"""Probability, by slot, that the slot is of metal in a room."""
 _FINISHED = ("frame", "legs", "shade", "slats")
 
 

@@ -32,7 +32,7 @@ from datagen.parametric.kinds import KINDS
 from datagen.parametric.packing import package_of, room_id
 from datagen.parametric.prints import print_image
 from datagen.parametric.room import MadeRoom, draw_shell, make_room
-from datagen.parametric.slots import METAL_SHARE, SLOTS, in_metal
+from datagen.parametric.slots import SLOTS, in_metal
 
 SEEDS = ("1", "2", "3")
 
@@ -95,17 +95,17 @@ def test_bytes_depend_on_kind_and_seed_alone() -> None:
 
 
 def test_slots_are_of_metal_in_their_share_of_rooms() -> None:
-    """Slots drawn as metal are replaceable only by metal, and their share agrees with ``METAL_SHARE``."""
+    """Slots drawn as metal are replaceable only by metal, and their share agrees with ``metal_share``."""
     found: dict[str, list[bool]] = {}
     for kind in sorted(KINDS):
         for seed in SEEDS:
             _, package = package_of(_room(kind, seed))
             assert isinstance(package.asset, EnvironmentAsset)
             for slot, material in package.asset.materials.items():
-                if slot in METAL_SHARE:
+                if slot in SLOTS and SLOTS[slot].metal_share:
                     found.setdefault(slot, []).append(material.replaceable_by == ("metal",))
     drawn = [is_metal for slot in found for is_metal in found[slot]]
-    expected = [METAL_SHARE[slot] for slot in found for _ in found[slot]]
+    expected = [SLOTS[slot].metal_share for slot in found for _ in found[slot]]
     spread = np.sqrt(sum(p * (1 - p) for p in expected))
     assert len(found) >= 8 and abs(sum(drawn) - sum(expected)) < 3 * spread
     assert in_metal("legs").surface == "fitting" and in_metal("worktop").surface == "worktop"
