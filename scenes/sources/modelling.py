@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import bpy
 import numpy as np
 
+from datagen.foundation.axes import affine, rotation
 from scenes.sources.materials.catalogue import MATERIALS, Slot
 from scenes.sources.materials.graph import Graph
 from scenes.sources.shapes import Shape
@@ -66,8 +67,7 @@ class PartBuilder:
 
     def place(self, part: str, x: float, y: float, z: float = 0.0, degrees: float = 0.0) -> None:
         """Place a part at (x, y, z) [m], rotated about z; a part that is never placed is at the origin."""
-        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-        matrix = np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, z], [0, 0, 0, 1]])
+        matrix = affine(rotation("z", math.radians(degrees)), (x, y, z))
         self.places.setdefault(part, []).append(matrix)
 
     def material(self, name: str) -> bpy.types.Material:

@@ -7,6 +7,7 @@ material's grain runs along u. ``unit_uv`` marks a unique UV layout in [0, 1] (p
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -17,6 +18,8 @@ import bmesh
 import numpy as np
 from mathutils import Vector
 from numpy.typing import ArrayLike, NDArray
+
+from datagen.foundation.axes import rotation
 
 Point = tuple[float, float, float]
 Face = tuple[int, ...]
@@ -38,7 +41,7 @@ class Shape:
 
     def turned(self, axis: str, degrees: float, by: Sequence[float] | NDArray | None = None) -> Shape:
         """The shape rotated counter-clockwise about a coordinate axis, then moved ``by`` (x, y, z)."""
-        shape = replace(self, points=self.points @ rotation(axis, degrees).T)
+        shape = replace(self, points=self.points @ rotation(axis, math.radians(degrees)).T)
         return shape if by is None else shape.moved(*by)
 
     def scaled(self, x: float, y: float | None = None, z: float | None = None) -> Shape:
@@ -75,15 +78,6 @@ class Shape:
             np.concatenate([self.uvs, other.uvs]),
             self.unit_uv,
         )
-
-
-def rotation(axis: str, degrees: float) -> NDArray:
-    """Matrix (3, 3) of a counter-clockwise rotation about ``axis`` ('x', 'y' or 'z')."""
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
-    matrix = np.eye(3)
-    matrix[i, i], matrix[i, j], matrix[j, i], matrix[j, j] = c, -s, s, c
-    return matrix
 
 
 def join(shapes: Sequence[Shape]) -> Shape:

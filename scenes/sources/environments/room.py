@@ -16,6 +16,7 @@ import bpy
 import numpy as np
 from numpy.typing import ArrayLike
 
+from datagen.foundation.axes import affine
 from scenes.sources.materials.catalogue import table
 from scenes.sources.modelling import PartBuilder, tag
 from scenes.sources.parts import add_parts
@@ -296,11 +297,8 @@ class Room:
         lu, lv = np.linalg.norm(u), np.linalg.norm(v)
         corners = [(0, 0, 0), (lu, 0, 0), (lu, lv, 0), (0, lv, 0)]
         thing = self._marker(name, corners, [(0, 1, 2, 3)], sm_role=role, **tags)
-        matrix = np.eye(4)
-        matrix[:3, 0], matrix[:3, 1] = u / lu, v / lv
-        matrix[:3, 2] = np.cross(matrix[:3, 0], matrix[:3, 1])
-        matrix[:3, 3] = origin
-        thing.matrix_world = matrix.T.tolist()
+        u, v = u / lu, v / lv
+        thing.matrix_world = affine(np.column_stack([u, v, np.cross(u, v)]), origin).T.tolist()
 
     def _marker(
         self, name: str, points: Sequence[Point], faces: Sequence[Face], **tags: object
