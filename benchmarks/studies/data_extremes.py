@@ -22,13 +22,12 @@ from benchmarks.timing import markdown
 from datagen.formats.lights import AreaLight
 from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.buffers import BUFFERS
-from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import linear_from_log, log_from_linear
 from datagen.foundation.exr import decode_view, encode_view, to_storage
 from datagen.multiview.statistics import StatisticsView, compute_statistics
 from datagen.multiview.visibility import PackedViews, observe_points
 from mitsuba_plugins.variant import select_variant
-from oracles.multiview_scenes import POSES, make_views, seen_boxes
+from oracles.multiview_scenes import make_views
 from oracles.rendering_scenes import SmallScene, down_camera, quad, renderer
 
 SCALES = (1e-3, 1e-1, 1e2, 1e4)
@@ -117,23 +116,6 @@ def spread_of_alike_views(num_views: int) -> float:
     (result,) = compute_statistics(views, only=(0,))
     own = np.maximum(views[0].color, 1e-30)
     return float(((result["color_max"] - result["color_min"]) / own).max())
-
-
-def many_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[StatisticsView]:
-    """Make views of the boxes with random colours, from random positions near the cameras of ``POSES``."""
-    rng = np.random.default_rng(3)
-    base = make_views((size,))
-    found = []
-    for index in range(num_views):
-        position, target = (np.array(p) for p in POSES[index % len(POSES)])
-        camera: Camera = base[index % len(base)].camera
-        camera = replace(camera, world_from_camera=look_at(position + rng.uniform(-0.2, 0.2, 3), target))
-        depth, normals = seen_boxes(camera)
-        color = rng.random(normals.shape).astype(np.float32)
-        mask = (depth > 0).astype(np.float32)
-        depth, normals = depth.astype(np.float32), normals.astype(np.float32)
-        found.append(StatisticsView(camera, color, depth, normals, mask, f"view_{index:03}"))
-    return found
 
 
 def lit_floor(metres: float, radiance: float) -> NDArray[np.float64]:

@@ -15,7 +15,6 @@ from benchmarks.studies.data_extremes import (
     image_at_scales,
     lit_floor,
     log_round_trip,
-    many_views,
     scale_of_radiance,
     scale_of_scene,
     spread_of_alike_views,
@@ -23,15 +22,32 @@ from benchmarks.studies.data_extremes import (
 )
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for, linear_from_log, log_from_linear, srgb_from_linear
-from datagen.multiview.statistics import StatisticsOptions, compute_statistics
+from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
 from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe_points
 from datagen.rendering.error import relative_mse
-from oracles.multiview_scenes import make_views
+from oracles.multiview_scenes import POSES, make_views, seen_boxes
 from oracles.statistics import statistics_vectorized
 from tests.datagen.test_multiview_statistics import disagreement, oracle_options
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 EPS = float(np.finfo(np.float32).eps)
+
+
+def many_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[StatisticsView]:
+    """Make views of the boxes with random colours, from random positions near the cameras of ``POSES``."""
+    rng = np.random.default_rng(3)
+    base = make_views((size,))
+    found = []
+    for index in range(num_views):
+        position, target = (np.array(p) for p in POSES[index % len(POSES)])
+        camera: Camera = base[index % len(base)].camera
+        camera = replace(camera, world_from_camera=look_at(position + rng.uniform(-0.2, 0.2, 3), target))
+        depth, normals = seen_boxes(camera)
+        color = rng.random(normals.shape).astype(np.float32)
+        mask = (depth > 0).astype(np.float32)
+        depth, normals = depth.astype(np.float32), normals.astype(np.float32)
+        found.append(StatisticsView(camera, color, depth, normals, mask, f"view_{index:03}"))
+    return found
 
 
 # ---- statistics
