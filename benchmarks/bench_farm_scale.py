@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import json
 import statistics
 import tarfile
 import tempfile
@@ -20,7 +19,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from benchmarks.timing import timed
+from benchmarks.timing import timed, write_report
 from datagen.assembly.plan import configuration_id
 from datagen.farm.collect import collect
 from datagen.farm.folder import DatasetFolder, FolderRecord, Plan, UnitManifest
@@ -156,7 +155,7 @@ def main() -> None:
     parser.add_argument("--sizes", type=int, nargs="+", default=[1000, 2000, 5000, 10000])
     parser.add_argument("--repeats", type=int, default=3)
     options = parser.parse_args()
-    print(json.dumps(time_real_folders(options.sizes, options.repeats), indent=2))
+    write_report(time_real_folders(options.sizes, options.repeats), None, indent=2)
 
 
 if __name__ == "__main__":

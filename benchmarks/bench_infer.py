@@ -17,7 +17,6 @@ Memory is stated without and with the resident pages of the atlas's files, which
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 import threading
 from collections.abc import Sequence
@@ -30,7 +29,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from benchmarks.bench_merge_quality import open_room
-from benchmarks.timing import Stopwatch
+from benchmarks.timing import Stopwatch, write_report
 from datagen.formats.capture import Capture, CaptureView
 from datagen.geometry.texture_lookup import looked_up, pixel_uv
 from mitsuba_plugins.variant import select_variant
@@ -152,10 +151,9 @@ def main() -> None:
         print(f"{name:<12}{minutes:>8.2f} min   (paper, Veach Ajar's load, GPU: {PAPER_MINUTES[name]:.2f})")
     print(f"processor time {cpu_s:.0f} s, {torch.get_num_threads()} threads, {report.precision}")
     print(f"peak memory {memory.own_gb:.1f} GB, with mapped files {memory.resident_gb:.1f} GB")
-    if arguments.json:
-        peaks = {"peak_own_gb": memory.own_gb, "peak_resident_gb": memory.resident_gb}
-        result = {**asdict(report), **peaks, "cpu_s": cpu_s, "threads": torch.get_num_threads()}
-        arguments.json.write_text(json.dumps(result, indent=2, sort_keys=True) + "\n")
+    peaks = {"peak_own_gb": memory.own_gb, "peak_resident_gb": memory.resident_gb}
+    result = {**asdict(report), **peaks, "cpu_s": cpu_s, "threads": torch.get_num_threads()}
+    write_report(result, arguments.json, is_printed=False, indent=2, sort_keys=True)
 
 
 if __name__ == "__main__":

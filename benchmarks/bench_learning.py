@@ -19,7 +19,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from benchmarks.timing import markdown
+from benchmarks.timing import markdown, write_report
 from datagen.formats.shard import ViewPlace
 from datagen.foundation.buffers import MATERIAL_MAPS
 from model.checkpoint import load_checkpoint
@@ -147,7 +147,7 @@ def write_table(rows: Rows, run: dict[str, Any], out: Path) -> None:
     table = as_table(rows)
     print(table)
     (out / "table.md").write_text(table)
-    (out / "results.json").write_text(json.dumps({**run, "results": rows}, indent=2) + "\n")
+    write_report({**run, "results": rows}, out / "results.json", is_printed=False, indent=2)
 
 
 def main() -> None:

@@ -18,7 +18,6 @@ interrupted points resume. A point takes about ``2 * steps`` times the seconds o
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import shutil
 import time
@@ -30,7 +29,7 @@ import torch
 from matplotlib import pyplot
 
 from benchmarks.bench_learning import CONSTANT, TRACKS, Rows
-from benchmarks.timing import markdown
+from benchmarks.timing import markdown, write_report
 from datagen.formats.base import canonical_json, write_bytes_atomically
 from datagen.formats.shard import INDEX_FILE, Dataset, DatasetIndex, ShardRecord
 from datagen.foundation.buffers import MATERIAL_MAPS
@@ -173,7 +172,7 @@ def main() -> None:
         "process_s": round(time.process_time() - start, 1),
         "results": {CONSTANT: baseline, **rows},
     }
-    (args.out / "results.json").write_text(json.dumps(report, indent=2) + "\n")
+    write_report(report, args.out / "results.json", is_printed=False, indent=2)
     plot(curves, baseline, args.out / "curve.png")
 
 

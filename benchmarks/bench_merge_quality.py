@@ -17,7 +17,6 @@ errors of ``weights`` and ``sizes``.
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,6 +25,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.timing import write_report
 from datagen.formats.capture import Capture
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.meshes.mesh import Mesh
@@ -213,9 +213,8 @@ def main() -> None:
     print(f"{'':<36}" + "".join(f"{name:>18}" for name in MATERIAL_MAPS))
     for row, errors in sums.items():
         print(f"{row:<36}" + "".join(f"{errors[name] / num_pixels:>18.3e}" for name in MATERIAL_MAPS))
-    if arguments.json:
-        means = {row: {name: e[name] / num_pixels for name in MATERIAL_MAPS} for row, e in sums.items()}
-        arguments.json.write_text(json.dumps(means, indent=2, sort_keys=True) + "\n")
+    means = {row: {name: e[name] / num_pixels for name in MATERIAL_MAPS} for row, e in sums.items()}
+    write_report(means, arguments.json, is_printed=False, indent=2, sort_keys=True)
 
 
 if __name__ == "__main__":

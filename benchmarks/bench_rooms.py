@@ -9,7 +9,6 @@ width; the shares of windows with curtains, with a blind and with a radiator.
 from __future__ import annotations
 
 import argparse
-import json
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.timing import Stopwatch
+from benchmarks.timing import Stopwatch, write_report
 from datagen.parametric.kinds import KINDS
 from datagen.parametric.packing import package_of
 from datagen.parametric.room import make_room
@@ -78,11 +77,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    found = measure(arguments.seeds)
-    text = json.dumps(found, indent=2)
-    print(text)
-    if arguments.json is not None:
-        arguments.json.write_text(text + "\n")
+    write_report(measure(arguments.seeds), arguments.json, indent=2)
 
 
 if __name__ == "__main__":

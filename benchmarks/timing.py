@@ -116,9 +116,11 @@ def planned_folder(folder: Path, recipe: Recipe, path: Path, stdout: int | None 
     return folder
 
 
-def write_report(report: Any, out: Path | None, *, is_printed: bool = True) -> None:
+def write_report(
+    report: Any, out: Path | None, *, is_printed: bool = True, indent: int = 1, sort_keys: bool = False
+) -> None:
     """Print a report as JSON if ``is_printed``, and write it to ``out`` if given."""
-    text = json.dumps(report, indent=1)
+    text = json.dumps(report, indent=indent, sort_keys=sort_keys)
     if is_printed:
         print(text)
     if out is not None:

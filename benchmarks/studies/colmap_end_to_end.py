@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmarks.studies.cycles_scene import export
-from benchmarks.timing import REPOSITORY
+from benchmarks.timing import REPOSITORY, write_report
 from datagen.formats.base import canonical_json, read_json, sha256_hex
 from datagen.formats.configuration import Configuration, ViewCamera
 from datagen.formats.package import open_package
@@ -376,8 +376,7 @@ def main() -> None:
     print(json.dumps(found), flush=True)
     steps.infer()
     found.update(steps.compare())
-    (steps.out / f"found-{steps.name}.json").write_text(json.dumps(found, indent=1))
-    print(json.dumps(found, indent=1))
+    write_report(found, steps.out / f"found-{steps.name}.json")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ Markdown table.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 import time
@@ -27,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import cv2
 
-from benchmarks.timing import markdown
+from benchmarks.timing import markdown, write_report
 from datagen.foundation.color import exposure_for, srgb_from_linear
 from datagen.foundation.images import read_image
 from datagen.importers.common import ImportOptions
@@ -126,7 +125,7 @@ def main() -> None:
                 compare_scene(scene, Path(folder), arguments.width, arguments.samples, arguments.pictures)
             )
             print(table(results[-1:]).splitlines()[-1], file=sys.stderr)
-    arguments.out.write_text(json.dumps(results, indent=2) + "\n")
+    write_report(results, arguments.out, is_printed=False, indent=2)
     print(table(results))
 
 
