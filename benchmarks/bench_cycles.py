@@ -38,7 +38,6 @@ import platform
 import resource
 import shutil
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -51,7 +50,7 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from benchmarks.timing import REPOSITORY, RESULTS, markdown, write_report
+from benchmarks.timing import RESULTS, launch, markdown, write_report
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.formats.recipe import QUALITIES, ObjectRecipe, Recipe, RenderRecipe
@@ -92,17 +91,8 @@ def timed(*command: str, log: Path, environment: dict[str, str] | None = None) -
     """Run a Python module in a separate process; returns the start (epoch), wall and processor seconds."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     began, start = time.time(), time.perf_counter()
-    with log.open("wb") as out:
-        done = subprocess.run(
-            [sys.executable, "-m", *command],
-            cwd=REPOSITORY,
-            stdout=out,
-            stderr=subprocess.STDOUT,
-            env={**os.environ, **(environment or {})},
-        )
+    launch(*command, log=log, environment=environment)
     wall = time.perf_counter() - start
-    if done.returncode:
-        raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}; see {log}")
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return {"began": began, "wall_s": round(wall, 3), "cpu_s": round(cpu, 3)}

@@ -116,6 +116,19 @@ def planned_folder(folder: Path, recipe: Recipe, path: Path, stdout: int | None 
     return folder
 
 
+def launch(
+    *command: str, log: Path, is_module: bool = True, environment: Mapping[str, str] | None = None
+) -> None:
+    """Run a command or Python module with its output in ``log``; ``RuntimeError`` if it fails."""
+    start, variables = [sys.executable, "-m"] if is_module else [], {**os.environ, **(environment or {})}
+    with log.open("ab") as out:
+        done = subprocess.run(
+            [*start, *command], cwd=REPOSITORY, stdout=out, stderr=subprocess.STDOUT, env=variables
+        )
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}; see {log}")
+
+
 def write_report(
     report: Any, out: Path | None, *, is_printed: bool = True, indent: int = 1, sort_keys: bool = False
 ) -> None:

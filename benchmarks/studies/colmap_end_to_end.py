@@ -29,8 +29,6 @@ import argparse
 import io
 import json
 import shutil
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,7 +38,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmarks.studies.cycles_scene import export
-from benchmarks.timing import REPOSITORY, write_report
+from benchmarks.timing import launch, write_report
 from datagen.formats.base import canonical_json, read_json, sha256_hex
 from datagen.formats.configuration import Configuration, ViewCamera
 from datagen.formats.package import open_package
@@ -115,15 +113,6 @@ def jpeg(pixels: NDArray[np.uint8], camera: Camera) -> bytes:
     return data.getvalue()
 
 
-def run(*command: str, log: Path, is_module: bool = True) -> None:
-    """Run a command or Python module with its output in ``log``; ``RuntimeError`` if it fails."""
-    start = [sys.executable, "-m"] if is_module else []
-    with log.open("ab") as out:
-        done = subprocess.run([*start, *command], cwd=REPOSITORY, stdout=out, stderr=subprocess.STDOUT)
-    if done.returncode:
-        raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}; see {log}")
-
-
 @dataclass
 class EndToEnd:
     """The steps of the pipeline, in order; each stores its result in ``out``, a folder for its options."""
@@ -158,7 +147,7 @@ class EndToEnd:
             recipe = self.out / "recipe.yaml"
             recipe.write_bytes(canonical_json({"format": "scene-materials/recipe", "version": 1, **RECIPE}))
             shutil.rmtree(self.out / "plan", ignore_errors=True)
-            run("datagen", "plan", str(recipe), "--out", str(self.out / "plan"), log=self.out / "plan.log")
+            launch("datagen", "plan", str(recipe), "--out", str(self.out / "plan"), log=self.out / "plan.log")
             (planned,) = (self.out / "plan" / "configurations").glob("*.json")
             cameras = tuple(walk(self.views, self.size))
             made = read_json(Configuration, planned).model_copy(update={"cameras": cameras})
@@ -172,14 +161,16 @@ class EndToEnd:
         if not blend.is_file():
             shutil.rmtree(self.out / "export", ignore_errors=True)
             export(configuration, Library([bundled_library()]), self.out / "export")
-            run("benchmarks.studies.cycles_baseline", "build", str(self.out / "export"), str(blend), log=log)
+            launch(
+                "benchmarks.studies.cycles_baseline", "build", str(self.out / "export"), str(blend), log=log
+            )
         mesh, study = self.out / "retopology.ply", "benchmarks.studies.cycles_photographs"
         if not mesh.is_file():
             options = ("--triangles", str(self.triangles))
-            run(study, "retopology", str(blend), str(mesh), *options, log=log)
+            launch(study, "retopology", str(blend), str(mesh), *options, log=log)
         rendered, images = self.out / "cycles", self.images
         options = ("--samples", str(self.samples))
-        run(study, "render", str(blend), str(rendered), *options, log=log)
+        launch(study, "render", str(blend), str(rendered), *options, log=log)
         images.mkdir(exist_ok=True)
         linear = {
             view.name: read_image(rendered / f"{view.name}.exr")[..., :3].astype(np.float32)
@@ -233,7 +224,7 @@ class EndToEnd:
         aligned.mkdir()
         for step in camera_steps("colmap", folder / "images", folder, lists=()):
             for command in step.commands:
-                run(*command, log=log, is_module=False)
+                launch(*command, log=log, is_module=False)
         models = sorted(found.iterdir(), key=lambda m: (m / "images.bin").stat().st_size)
         if not models:
             raise RuntimeError(f"COLMAP found no model; see {log}")
@@ -244,10 +235,10 @@ class EndToEnd:
             lines.append(f"{view.name}.jpg {x} {y} {z}\n")
         references = folder / "measured_centers.txt"
         references.write_text("".join(lines))
-        run("colmap", "model_aligner", "--input_path", str(models[-1]), "--output_path", str(aligned),
-            "--ref_images_path", str(references), "--ref_is_gps", "0", "--alignment_type", "custom",
-            "--robust_alignment", "1", "--robust_alignment_max_error", str(6 * CENTER_ERROR_M),
-            log=log, is_module=False)  # fmt: skip
+        launch("colmap", "model_aligner", "--input_path", str(models[-1]), "--output_path", str(aligned),
+               "--ref_images_path", str(references), "--ref_is_gps", "0", "--alignment_type", "custom",
+               "--robust_alignment", "1", "--robust_alignment_max_error", str(6 * CENTER_ERROR_M),
+               log=log, is_module=False)  # fmt: skip
         (folder / "database.db").unlink()
 
     # ---------------------------------------------------------------- inference and comparison
@@ -263,7 +254,7 @@ class EndToEnd:
         options = ["--mesh", str(mesh), "--out", str(self.result), "--atlas", self.atlas, "--quiet"]
         if self.mesh == "colmap":
             options.append("--no-mend-mesh")  # as materials photos does with a sparse surface
-        run("model.cli", "infer", str(self.capture), *options, log=log)
+        launch("model.cli", "infer", str(self.capture), *options, log=log)
 
     def pose_errors(self) -> dict[str, float]:
         """Number of registered cameras; errors of centre [mm], rotation [degrees] and focal length [%]."""

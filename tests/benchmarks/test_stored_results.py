@@ -63,7 +63,7 @@ def test_other_cameras_are_photographed(tmp_path: Path, monkeypatch: pytest.Monk
         configuration = draw_configuration(Library([]), 0, 1, (96, 64))
         (folder / "0.json").write_bytes(canonical_json(configuration))
 
-    monkeypatch.setattr(colmap_end_to_end, "run", plan)
+    monkeypatch.setattr(colmap_end_to_end, "launch", plan)
     for views, size in ((3, (48, 32)), (2, (48, 40))):
         steps = colmap_end_to_end.EndToEnd(tmp_path, views, size, 0, 0, "true", "512")
         cameras = steps.configuration().cameras
