@@ -14,15 +14,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.background import NEAR, Background, photographed_background
+from datagen.light.bright_guide import adjacent_cells
+from datagen.light.cells import cell_indices
 from datagen.light.emitters import Emitters, photographed_emitters
-from datagen.light.surfels import NUM_SIDES, Surfels, clipped_shares
+from datagen.light.surfels import Surfels, clipped_shares
 
 CLIPPED_SHARE = 0.5
 """Clipped share of the pixels of an emitter or background bin from which a channel is unknown."""
@@ -210,15 +209,9 @@ def _labelled_surfels(views: Sequence[TracedView], surfels: Surfels) -> tuple[ND
     share = clipped_shares(views, surfels)
     shut = np.flatnonzero((share >= SHUT).any(axis=1))
     label = np.full(len(surfels), -1, np.int64)
-    if len(shut):
-        shape = surfels.grid.shape
-        key = np.flatnonzero(surfels.grid.surfel >= 0)[shut]
-        side, rest = key % NUM_SIDES, key // NUM_SIDES
-        row, z = np.divmod(rest, shape[2])
-        cell = np.stack([*np.divmod(row, shape[1]), z, side * 4 * int(shape.max())], axis=1)
-        pairs = cKDTree(cell).query_pairs(1.5, p=np.inf, output_type="ndarray")
-        graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(shut),) * 2)
-        label[shut] = connected_components(graph, directed=False)[1]
+    cells, sides = cell_indices(np.flatnonzero(surfels.grid.surfel >= 0)[shut], surfels.grid.shape)
+    for number, patch in enumerate(adjacent_cells(cells, sides)):
+        label[shut[patch]] = number
     return _largest(label, MIN_CELLS), (share >= SHUT).astype(np.float64)
 
 
