@@ -185,10 +185,10 @@ def test_our_reader_of_transforms_recovers_the_cameras(
     dataset: Path, views: list[View], tmp_path: Path
 ) -> None:
     from datagen.foundation.budget import Budget
-    from model.reconstruction.captures.transforms_json import read_transforms
+    from model.reconstruction.captures.transforms_json import read
 
     out = export("nerfstudio", dataset, tmp_path / "ns") / "small-00000"
-    images = read_transforms(out / "transforms.json", Budget(out), out)
+    images = read(out / "transforms.json", out, Budget(out)).images
     for image, view in zip(images, views, strict=True):
         camera = view.record.camera.camera()
         np.testing.assert_allclose(image.camera.world_from_camera, camera.world_from_camera, atol=1e-6)

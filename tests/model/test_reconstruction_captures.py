@@ -24,7 +24,8 @@ from datagen.foundation.color import linear_from_srgb, srgb_from_linear
 from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.ply import encode_ply
-from model.reconstruction.captures.colmap import MODELS, read_colmap
+from model.reconstruction.captures.colmap import MODELS
+from model.reconstruction.captures.colmap import read as read_colmap
 from model.reconstruction.captures.options import CaptureOptions, Exposure
 from model.reconstruction.captures.photographs import (
     PhotographSource,
@@ -102,7 +103,7 @@ def test_colmap_poses_and_lens(tmp_path: Path, form: str) -> None:
     cameras = make_cameras()
     lens = [55.0, 57.0, 31.0, 21.5, -0.12, 0.03, 0.001, -0.002]
     write_colmap(tmp_path / "m", cameras, form, "OPENCV", lens)
-    posed = read_colmap(tmp_path / "m", Budget("x"))
+    posed = read_colmap(tmp_path / "m", None, Budget("x")).images
     assert [p.file for p in posed] == ["img0.png", "img1.png", "img2.png"]
     for expected, got in zip(cameras, posed, strict=True):
         np.testing.assert_allclose(got.camera.world_from_camera, expected.world_from_camera, atol=1e-9)
@@ -123,7 +124,7 @@ def test_colmap_poses_and_lens(tmp_path: Path, form: str) -> None:
 )
 def test_colmap_models(tmp_path: Path, model: str, parameters: list[float], expected: tuple | None) -> None:
     write_colmap(tmp_path / "m", make_cameras(1), "binary", model, parameters)
-    (posed,) = read_colmap(tmp_path / "m", Budget("x"))
+    (posed,) = read_colmap(tmp_path / "m", None, Budget("x")).images
     assert posed.camera.cx_px == 32 and posed.camera.cy_px == 20 and posed.camera.fx_px == 50
     got = posed.distortion
     assert (None if got is None else (got.model, got.coefficients)) == expected
@@ -132,13 +133,13 @@ def test_colmap_models(tmp_path: Path, model: str, parameters: list[float], expe
 def test_colmap_faults_are_named(tmp_path: Path) -> None:
     write_colmap(tmp_path / "fov", make_cameras(1), "text", "FOV", [50, 50, 32, 20, 0.5])
     with pytest.raises(InputError, match=r"FOV.*expected one of PINHOLE"):
-        read_colmap(tmp_path / "fov", Budget("x"))
+        read_colmap(tmp_path / "fov", None, Budget("x"))
     write_colmap(tmp_path / "cut", make_cameras(2), "binary", "PINHOLE", [50, 51, 32, 20])
     images = tmp_path / "cut" / "images.bin"
     for keep in (0, 30, 100, len(images.read_bytes()) - 1):
         images.write_bytes(images.read_bytes()[:keep])
         with pytest.raises(InputError, match=r"ends early|an empty file"):
-            read_colmap(tmp_path / "cut", Budget("x"))
+            read_colmap(tmp_path / "cut", None, Budget("x"))
         images.write_bytes(b"")
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="no known format"):
@@ -158,7 +159,7 @@ def test_text_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
     for name in ("cameras.txt", "images.txt"):
         path = tmp_path / "m" / name
         path.write_text("\ufeff" + path.read_text().replace("\n", "\r\n"), newline="")
-    assert len(read_colmap(tmp_path / "m", Budget("x"))) == 2
+    assert len(read_colmap(tmp_path / "m", None, Budget("x")).images) == 2
 
 
 @pytest.mark.parametrize("form", ["text", "binary"])
@@ -166,7 +167,7 @@ def test_an_unsupported_lens_is_reported_once(tmp_path: Path, form: str) -> None
     """Regression: the message named ``images``, once per photograph."""
     write_colmap(tmp_path / "m", make_cameras(5), form, "FOV", [50, 50, 32, 20, 0.5])
     with pytest.raises(InputError) as caught:
-        read_colmap(tmp_path / "m", Budget("x"))
+        read_colmap(tmp_path / "m", None, Budget("x"))
     cameras = tmp_path / "m" / ("cameras.txt" if form == "text" else "cameras.bin")
     assert len(caught.value.problems) == 1
     assert str(caught.value).startswith(f"{cameras}: camera 7 model = FOV; expected one of PINHOLE")
@@ -176,10 +177,10 @@ def test_an_unsupported_lens_is_reported_once(tmp_path: Path, form: str) -> None
 def test_an_unknown_lens_is_reported(tmp_path: Path) -> None:
     write_colmap(tmp_path / "m", make_cameras(3), "text", "RAD_TAN_THIN_PRISM_FISHEYE", [50.0] * 16)
     with pytest.raises(InputError, match=r"cameras\.txt: camera 7 model = RAD_TAN\w+; .*PINHOLE"):
-        read_colmap(tmp_path / "m", Budget("x"))
+        read_colmap(tmp_path / "m", None, Budget("x"))
     write_colmap(tmp_path / "n", make_cameras(3), "text", "PINHOLE", [50, -50, 32, 20])
     with pytest.raises(InputError) as caught:
-        read_colmap(tmp_path / "n", Budget("x"))
+        read_colmap(tmp_path / "n", None, Budget("x"))
     assert len(caught.value.problems) == 1 and "cameras.txt: camera 7 parameters" in str(caught.value)
 
 

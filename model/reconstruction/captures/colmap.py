@@ -63,28 +63,19 @@ def find(path: Path) -> Path | None:
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """Read the calibration of every registered image. Raises :class:`InputError` with all faults.
+    """Read the calibration of every registered image, sorted by file name, from binary files if possible.
 
-    ``images`` defaults to the folder ``images`` in ``path``, its parent or its grandparent.
+    ``images`` defaults to the folder ``images`` in ``path``, its parent or its grandparent. Raises
+    :class:`InputError` with all faults.
     """
-    candidates = (path / "images", path.parent / "images", path.parent.parent / "images")
-    folder = images or next((f for f in candidates if f.is_dir()), candidates[0])
-    return Calibration(tuple(read_colmap(path, budget)), folder)
-
-
-def read_colmap(folder: Path, budget: Budget) -> list[PosedImage]:
-    """Read every registered image, sorted by file name; binary files are preferred to text files.
-
-    Raises :class:`InputError` with all faults.
-    """
-    if all((folder / name).is_file() for name in ("cameras.bin", "images.bin")):
-        lenses = _read_binary_cameras(folder / "cameras.bin", budget)
-        poses = {name: values[1:] for name, values in _binary_images(folder / "images.bin", budget)}
-        where, cameras = folder / "images.bin", folder / "cameras.bin"
+    if all((path / name).is_file() for name in ("cameras.bin", "images.bin")):
+        lenses = _read_binary_cameras(path / "cameras.bin", budget)
+        poses = {name: values[1:] for name, values in _binary_images(path / "images.bin", budget)}
+        where, cameras = path / "images.bin", path / "cameras.bin"
     else:
-        lenses = _read_text_cameras(folder / "cameras.txt", budget)
-        poses = _read_text_images(folder / "images.txt", budget)
-        where, cameras = folder / "images.txt", folder / "cameras.txt"
+        lenses = _read_text_cameras(path / "cameras.txt", budget)
+        poses = _read_text_images(path / "images.txt", budget)
+        where, cameras = path / "images.txt", path / "cameras.txt"
     reading = Reading(where)
     usable: dict[int, PosedImage | None] = {}
     for lens_id in sorted({lens_id for lens_id, _, _ in poses.values()} & set(lenses)):
@@ -101,7 +92,8 @@ def read_colmap(folder: Path, budget: Budget) -> list[PosedImage]:
             lens, pose = usable[lens_id], _pose(name, quaternion, translation, where)
             reading.images += [] if lens is None else [lens.posed(name, pose)]
     nothing = Problem(where, "", "no images", "at least one registered image", _REMEDY)
-    return list(reading.calibration(folder, nothing).images)
+    candidates = (path / "images", path.parent / "images", path.parent.parent / "images")
+    return reading.calibration(images or next((f for f in candidates if f.is_dir()), candidates[0]), nothing)
 
 
 def _pose(name: str, quaternion: NDArray, translation: NDArray, where: Path) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ from datagen.foundation.axes import affine
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.documents import parse_json
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import Problem, input_error
 from model.reconstruction.captures.posed import (
     EXPORT_AGAIN,
     Calibration,
@@ -61,15 +61,14 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
             if view.get("id_pose") not in poses or key not in intrinsics:
                 reading.num_unposed += 1
                 continue
-            pose = _pose(name, poses[view["id_pose"]], path)
-            if key not in lenses:  # a lens's fault is reported once, not once per view
-                lenses[key] = None
-                lenses[key] = _lens(intrinsics[key], path, f"intrinsics {key}")
-            lens = lenses[key]
-            if lens is not None:
-                reading.images.append(lens.posed(name, pose))
-        except InputError as error:
-            reading.problems += error.problems
+            with reading.part():
+                pose = _pose(name, poses[view["id_pose"]], path)
+                if key not in lenses:  # a lens's fault is reported once, not once per view
+                    lenses[key] = None
+                    lenses[key] = _lens(intrinsics[key], path, f"intrinsics {key}")
+                lens = lenses[key]
+                if lens is not None:
+                    reading.images.append(lens.posed(name, pose))
         except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
             reading.problems.append(Problem(path, name, repr(error)[:200], "numbers", _REMEDY))
     # root_path may be from another computer, so only its last part is used, as a folder next to the file

@@ -45,17 +45,11 @@ def find(path: Path) -> Path | None:
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """Read the calibration of every frame. Raises :class:`InputError` with all faults."""
-    folder = images or path.parent
-    return Calibration(tuple(read_transforms(path, budget, folder)), folder)
-
-
-def read_transforms(path: Path, budget: Budget, folder: Path | None = None) -> list[PosedImage]:
-    """Read every frame with the absolute path of its image, which is next to the file or in ``folder``.
-
-    Raises :class:`InputError` with all faults of the file.
+    """Read the calibration of every frame with the absolute path of its image, which is next to the file or
+    in ``images``. Raises :class:`InputError` with all faults.
     """
-    finders = [ImageFinder(f) for f in dict.fromkeys((path.parent, folder or path.parent))]
+    folder = images or path.parent
+    finders = [ImageFinder(f) for f in dict.fromkeys((path.parent, folder))]
     data = parse_json(read_text(path), path, budget)
     frames = data.get("frames") if isinstance(data, dict) else None
     if not isinstance(frames, list) or not frames:
@@ -75,7 +69,7 @@ def read_transforms(path: Path, budget: Budget, folder: Path | None = None) -> l
     remedy = "put the images beside the file, or name their folder with --images"
     reading.problems += finders[-1].absent(path, reading.missing, remedy)
     raise_problems(reading.problems)
-    return reading.images
+    return Calibration(tuple(reading.images), folder)
 
 
 def _posed(values: dict[str, Any], path: Path, field: str, finders: Sequence[ImageFinder]) -> PosedImage:
