@@ -189,18 +189,11 @@ def _coupling(pairs: Tensor, n: Tensor) -> Tensor:
     return torch.sparse_csr_tensor(starts, columns, values, size=(len(n), len(n)), check_invariants=False)
 
 
-@dataclass(frozen=True)
-class SolveReport:
-    """Number of iterations of a solve, and its maximum residual relative to the right-hand side."""
-
-    iterations: int
-    residual: float
-
-
 def solve(
     grid: BilateralGrid, config: SolverConfig, weights: Tensor, rhs: Tensor, start: Tensor
-) -> tuple[Tensor, SolveReport]:
-    """Solve the module's A y = ``rhs`` (V, C) for y (V, C) by preconditioned conjugate gradients.
+) -> tuple[Tensor, float]:
+    """Solve the module's A y = ``rhs`` (V, C) for y (V, C) by preconditioned conjugate gradients; also return
+    the maximum residual relative to ``rhs``.
 
     ``weights`` (V, C) is S c, the confidence summed by cell; ``start`` (V, C) is the initial y. Every (image,
     channel) is a separate system; converged systems are not updated while others continue.
@@ -234,7 +227,7 @@ def solve(
         rz = rz_next
         error = grid.dot(residual, residual).sqrt() / scale
         iteration += 1
-    return y, SolveReport(iteration, float(error.max()) if error.numel() else 0.0)
+    return y, float(error.max()) if error.numel() else 0.0
 
 
 class _Filter(torch.autograd.Function):
