@@ -262,7 +262,7 @@ def test_no_texel_falls_between_triangles() -> None:
     assert (whole >= 0).all()
     parts = [[surface.faces(x, y, 200, 300) for x in (0, 200, 400)] for y in (0, 300)]
     np.testing.assert_array_equal(np.block(parts), whole)
-    assert surface.overlap_mask()[1].mean() < 1e-3
+    assert surface.overlaps()[1].mean() < 1e-3
     points = surface.points(whole, 0, 0)[0]
     np.testing.assert_allclose(points[..., :2], texel_uv(size), atol=1e-6)
     torn = Mesh(mesh.positions[faces.ravel()], np.arange(len(faces) * 3, dtype=np.int32).reshape(-1, 3), None,

@@ -71,13 +71,13 @@ class TexelSurface:
         normals = np.where((face >= 0)[..., None], self.normals[np.maximum(face, 0)], np.float32(0))
         return points, normals
 
-    def overlap_mask(self, offset: tuple[float, float] = (0.5, 0.5)) -> tuple[NDArray, NDArray]:
-        """Compute masks (size, size) of texels covered by at least one triangle and by several."""
-        highest, lowest = (
-            self.faces(0, 0, self.size, self.size, offset, is_highest=is_highest)
-            for is_highest in (True, False)
-        )
-        return highest >= 0, highest != lowest
+    def overlaps(self, offset: tuple[float, float] = (0.5, 0.5)) -> tuple[NDArray, NDArray]:
+        """Find the highest triangle index (size, size) at each texel, -1 for none, and compute the mask
+        (size, size) of texels covered by several triangles.
+        """
+        whole = (0, 0, self.size, self.size, offset)
+        highest = self.faces(*whole)
+        return highest, highest != self.faces(*whole, is_highest=False)
 
 
 @compiled

@@ -89,8 +89,8 @@ def own_uv_fault(mesh: Mesh) -> str:
     if unmapped > _MAX_UNMAPPED:
         return f"{unmapped:.1%} of the surface has UVs without area"
     surface = TexelSurface(mesh, face_normals(mesh), _CHECK_SIZE)
-    covered, several = surface.overlap_mask(_CHECK_OFFSET)
-    share = float(several.sum() / max(int(covered.sum()), 1))
+    highest, is_several = surface.overlaps(_CHECK_OFFSET)
+    share = float(is_several.sum() / max(int((highest >= 0).sum()), 1))
     return f"{share:.1%} of the layout overlaps itself" if share > _MAX_OVERLAP else ""
 
 
@@ -115,13 +115,9 @@ def padding_texels(mesh: Mesh) -> int | None:
 
 def _overlapping(mesh: Mesh) -> NDArray[np.bool_]:
     """Find triangles (M,) that lie over others, unless they are few: of each pair, that of higher index."""
-    surface = TexelSurface(mesh, face_normals(mesh), PACK_SIZE)
-    highest, lowest = (
-        surface.faces(0, 0, PACK_SIZE, PACK_SIZE, _CHECK_OFFSET, is_highest=is_highest)
-        for is_highest in (True, False)
-    )
+    highest, is_several = TexelSurface(mesh, face_normals(mesh), PACK_SIZE).overlaps(_CHECK_OFFSET)
     overlapping = np.zeros(len(mesh.faces), np.bool_)
-    several = highest[highest != lowest]
+    several = highest[is_several]
     if len(several) > 0.1 * _MAX_OVERLAP * (highest >= 0).sum():
         overlapping[several] = True
     return overlapping
