@@ -21,8 +21,9 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from datagen.farm.folder import DatasetFolder, FailureRecord, PlannedUnit
-from datagen.farm.worker import STOP_SIGNALS, available_cpus, check_writable, planned_unit, worker_main
+from datagen.farm.worker import STOP_SIGNALS, check_writable, planned_unit, worker_main
 from datagen.formats.base import canonical_json, write_bytes_atomically
+from datagen.foundation.peak_memory import num_threads
 from mitsuba_plugins.variant import check_variant
 
 GRACE_S = 20.0  # time for workers to stop before they are killed
@@ -146,7 +147,7 @@ class _LocalRun:
         signals: list[int] = []
         previous = {n: signal.signal(n, lambda number, _: signals.append(number)) for n in STOP_SIGNALS}
         num_workers = max(1, min(self.options.workers, len(self.todo)))
-        threads = max(1, available_cpus() // num_workers)
+        threads = max(1, num_threads() // num_workers)
         try:
             while not signals and not self.summary.disk_full:
                 num_busy = sum(worker.unit is not None for worker in self.workers)

@@ -19,6 +19,7 @@ import psutil
 
 from datagen.farm.folder import DatasetFolder, Plan, PlannedUnit
 from datagen.foundation.errors import DISK_FULL, InputError, Problem, input_error
+from datagen.foundation.peak_memory import num_threads
 from datagen.library import Library
 from mitsuba_plugins.variant import check_variant, select_variant
 
@@ -27,11 +28,6 @@ EXIT_INTERRUPTED = 75
 STOP_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR1") if hasattr(signal, name)
 )  # missing on Windows
-
-
-def available_cpus() -> int:
-    """Number of processors that this process may use, which a queue may limit."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def check_writable(root: Path) -> None:
@@ -179,7 +175,7 @@ def run_unit_here(
     signals: list[int] = []
     for number in STOP_SIGNALS:
         signal.signal(number, lambda number, _: signals.append(number))
-    context = _WorkerContext(DatasetFolder(root), available_cpus())
+    context = _WorkerContext(DatasetFolder(root), num_threads())
     unit = planned_unit(context.plan, root, index)
     if not context.folder.is_done(unit):
         check_writable(root)

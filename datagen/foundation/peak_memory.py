@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Resources used by this process: peak memory and processor time."""
+"""Resources of this process: available processors, peak memory and processor time."""
 
 from __future__ import annotations
 
@@ -37,3 +37,8 @@ def processor_s() -> float:
     """Return the processor time in seconds of this process and of its finished child processes."""
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system
+
+
+def num_threads() -> int:
+    """Return the number of processors that this process may use, which a queue may limit."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

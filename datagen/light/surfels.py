@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.peak_memory import num_threads
 from datagen.geometry.views import TracedView
-from datagen.multiview.compiled import compiled, num_threads
+from datagen.multiview.compiled import compiled
 
 Floats32 = NDArray[np.float32]
 CELLS_ACROSS = 300

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Numba-compiled loops and the threads that run them.
+"""Numba-compiled loops.
 
 Compiled functions release Python's global interpreter lock, and a thread pool runs them in parallel on
 separate parts of the data; Numba thus needs no threading layer in addition to torch's and Mitsuba's.
@@ -10,7 +10,6 @@ not if a function that it calls in another module changes; in that case, remove 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -27,8 +26,3 @@ def compiled(function: _Function) -> _Function:
     except RuntimeError:  # no writable cache folder: each process compiles for itself
         made = numba.njit(function, nogil=True, error_model="numpy")
     return made
-
-
-def num_threads() -> int:
-    """Number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.buffers import BUFFERS, MATERIAL_MAPS
-from datagen.multiview.compiled import num_threads
+from datagen.foundation.peak_memory import num_threads
 from model.reconstruction.atlas.texels import TexelSurface
 
 MAP_CHANNELS = {name: BUFFERS[name].num_channels for name in MATERIAL_MAPS}

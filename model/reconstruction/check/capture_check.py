@@ -21,10 +21,10 @@ from datagen.formats.base import canonical_json, write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureGeometry
 from datagen.foundation.axes import affine
 from datagen.foundation.errors import input_error
+from datagen.foundation.peak_memory import num_threads
 from datagen.foundation.progress import Advance, Progress, no_advance
 from datagen.geometry.traced import TracedGeometry, seen_sides
 from datagen.geometry.views import TracedCapture
-from datagen.multiview.compiled import num_threads
 from mitsuba_plugins.variant import select_variant
 from model.reconstruction.captures.frames import AXES, z_up_from
 from model.reconstruction.check.edges import match_edges, mesh_edges

@@ -20,8 +20,8 @@ from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.durable import publish
 from datagen.foundation.images import encode_png, quantized_bytes
+from datagen.foundation.peak_memory import num_threads
 from datagen.foundation.progress import Advance, no_advance
-from datagen.multiview.compiled import num_threads
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas, let_go
 
 BAND = 1024

@@ -19,13 +19,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.peak_memory import num_threads
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.edge_pixels import unmixed
 from datagen.light.emitters import Emitters
 from datagen.light.lighting import Lit, clipped_surfels, light_surfels, relight, smoothed
 from datagen.light.surfels import Surfels, camera_row, surfel_means, weighted_medians
-from datagen.multiview.compiled import num_threads
 from model.reconstruction.light.confidence import (
     METAL_TRUST,
     impossible_shares,

@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.peak_memory import num_threads
 from datagen.foundation.progress import Advance, no_advance
-from datagen.multiview.compiled import compiled, num_threads
+from datagen.multiview.compiled import compiled
 from model.reconstruction.atlas.atlas import MAP_COLUMNS, Atlas
 from model.reconstruction.merge.medians import NUM_CHANNELS
 from model.reconstruction.unwrap.charts import chart_of_faces, connected_pieces

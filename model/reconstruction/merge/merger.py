@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import Problem, Problems, raise_problems
+from datagen.foundation.peak_memory import num_threads
 from datagen.geometry.views import TracedView
-from datagen.multiview.compiled import num_threads
 from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe, vectors_from_rows
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, MAP_COLUMNS, Atlas
 from model.reconstruction.atlas.texels import TexelSurface

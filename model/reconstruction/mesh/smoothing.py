@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from datagen.formats.capture import Capture, CaptureGeometry
 from datagen.foundation.meshes.mesh import Mesh, area_vectors, edge_pairs, unit_vectors, welded
+from datagen.foundation.peak_memory import num_threads
 from datagen.foundation.progress import Advance, no_advance
-from datagen.multiview.compiled import compiled, num_threads
+from datagen.multiview.compiled import compiled
 from model.reconstruction.mesh.holes import filled
 from model.reconstruction.stages import Run
 
