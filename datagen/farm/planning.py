@@ -12,9 +12,8 @@ from pathlib import Path
 import yaml
 
 from datagen.assembly.generated import room_of
+from datagen.assembly.notes import notes_before
 from datagen.assembly.plan import NUM_TRIES, assemble, check_recipe, configuration_id
-from datagen.assembly.skyless import rooms_without_sky
-from datagen.assembly.unplaceable import implausible_sizes, unplaceable
 from datagen.farm.folder import DatasetFolder, FolderRecord, Plan, PlannedUnit, rooms_of, unit_key
 from datagen.formats.base import canonical_json, read_json, sha256_hex, write_bytes_atomically
 from datagen.formats.configuration import Configuration
@@ -98,15 +97,6 @@ def create_plan(
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
     return write_plan(folder, recipe, library)
-
-
-def notes_before(recipe: Recipe, library: Library) -> list[str]:
-    """List notes on valid but unusual content: unplaceable objects, implausible sizes, skyless rooms."""
-    return [
-        *map(str, unplaceable(recipe, library)),
-        *implausible_sizes(recipe, library),
-        *rooms_without_sky(recipe, library),
-    ]
 
 
 def read_configurations(root: Path, plan: Plan) -> Iterator[Configuration]:

@@ -10,8 +10,8 @@ import pytest
 from pydantic import ValidationError
 from typer.testing import CliRunner
 
+from datagen.assembly.notes import implausible_sizes, unplaceable
 from datagen.assembly.plan import assemble
-from datagen.assembly.unplaceable import implausible_sizes, unplaceable
 from datagen.asset_check import check_package
 from datagen.cli import app
 from datagen.formats.recipe import Recipe
@@ -53,14 +53,14 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_unplaceable_assets_are_named_with_the_reason(own: Path, small: Path) -> None:
-    found = {item.asset: item.why for item in unplaceable(recipe(), Library([small, own]))}
+    found = unplaceable(recipe(), Library([small, own]))
     assert set(found) == {"boombox", "tower", "duvet", "hung", "leaning"}
     assert "2.00 x 0.40 m" in found["boombox"]
     assert "2.00 m tall" in found["tower"]
     assert "bed" in found["duvet"] and "supports is empty" in found["hung"] and "topple" in found["leaning"]
-    assert unplaceable(recipe(objects={"count": (0, 0)}), Library([small, own])) == []
+    assert unplaceable(recipe(objects={"count": (0, 0)}), Library([small, own])) == {}
     assert (
-        unplaceable(recipe(objects={"count": (1, 1), "exclude": sorted(found)}), Library([small, own])) == []
+        unplaceable(recipe(objects={"count": (1, 1), "exclude": sorted(found)}), Library([small, own])) == {}
     )
 
 

@@ -1,33 +1,29 @@
 # SPDX-License-Identifier: MIT
-"""Finds objects that no configuration of a recipe can contain, to report them before work starts."""
+"""Notes on valid but unusual content of recipes and libraries, to report it before work starts."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from datagen.assembly.generated import example_rooms
 from datagen.assembly.geometry import load_geometry
+from datagen.assembly.light_probe import is_from_outside
 from datagen.assembly.placement import CONTACT_TOLERANCE_M, surfaces_for
 from datagen.assembly.splits import packages_in_use, pools_of_split, splits_in_use
 from datagen.assembly.things import Thing
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset
 from datagen.formats.category_sizes import size_fault
 from datagen.formats.recipe import Recipe
+from datagen.foundation.bundled import is_bundled
 from datagen.library import Library
 
 
-@dataclass(frozen=True)
-class Unplaceable:
-    """An object that cannot be placed, with the reason and remedy ``why``."""
-
-    asset: str
-    why: str
-
-    def __str__(self) -> str:
-        return f"{self.asset} is never placed: {self.why}"
+def notes_before(recipe: Recipe, library: Library) -> list[str]:
+    """List notes on unplaceable objects, implausible sizes and skyless rooms, in one sentence each."""
+    never = (f"{name} is never placed: {why}" for name, why in unplaceable(recipe, library).items())
+    return [*never, *implausible_sizes(recipe, library), *rooms_without_sky(recipe, library)]
 
 
 def implausible_sizes(recipe: Recipe, library: Library) -> list[str]:
@@ -39,13 +35,13 @@ def implausible_sizes(recipe: Recipe, library: Library) -> list[str]:
     return found
 
 
-def unplaceable(recipe: Recipe, library: Library) -> list[Unplaceable]:
-    """Available objects that are unstable or fit in none of the recipe's rooms, sorted by id.
+def unplaceable(recipe: Recipe, library: Library) -> dict[str, str]:
+    """Reason and remedy by id of available objects that are unstable or fit in none of the recipe's rooms.
 
     An object is placeable if, in any split that contains it, a room has a surface for it.
     """
     if recipe.objects.count[1] == 0:
-        return []
+        return {}
     reasons: dict[str, str] = {}
     placeable: set[str] = set()
     for split in splits_in_use(recipe):
@@ -66,7 +62,7 @@ def unplaceable(recipe: Recipe, library: Library) -> list[Unplaceable]:
                 reasons[asset.id] = why
             else:
                 placeable.add(asset.id)
-    return [Unplaceable(name, reasons[name]) for name in sorted(reasons.keys() - placeable)]
+    return {name: reasons[name] for name in sorted(reasons.keys() - placeable)}
 
 
 def _why_no_surface(asset: ObjectAsset, rooms: list[EnvironmentAsset]) -> str:
@@ -90,3 +86,28 @@ def _why_no_surface(asset: ObjectAsset, rooms: list[EnvironmentAsset]) -> str:
         f"its footprint is {size[0]:.2f} x {size[1]:.2f} m, the largest surface {largest[1]:.2f} x "
         f"{largest[0]:.2f} m; check its unit or scale"
     )
+
+
+def rooms_without_sky(recipe: Recipe, library: Library) -> list[str]:
+    """Describe in one sentence per skyless room how it gets daylight; empty if the recipe has no daylight."""
+    lights = recipe.lights
+    if not recipe.environments.needs_library or (
+        lights.panoramas is None and not lights.daylight_probability
+    ):
+        return []
+    found = []
+    for package in packages_in_use(recipe, library, "environments"):
+        room = package.as_kind(EnvironmentAsset)
+        if is_bundled(package.path) or any(map(is_from_outside, room.lights)):
+            continue
+        if not room.openings:
+            how = "and no openings, so no daylight reaches it; mark its windows, or give its scene a world"
+        elif lights.panoramas is not None:
+            how = "so a panorama lights it through its openings (lights.panoramas)"
+        else:
+            how = (
+                f"so daylight enters through its openings in {lights.daylight_probability:.0%} of its "
+                "configurations (lights.daylight_probability; 0 leaves it out)"
+            )
+        found.append(f"{room.id} has no sky of its own, {how}")
+    return found
