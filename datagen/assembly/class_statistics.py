@@ -10,10 +10,8 @@ of the standard deviations over texels: of hue in turns, of saturation and value
 
 from __future__ import annotations
 
-import sys
 from collections import defaultdict
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +20,7 @@ from datagen.assembly.materials import CLASS_RANGES, MeanMaterials
 from datagen.formats.asset import MATERIAL_CLASSES, Material, MaterialAsset, PanoramaAsset, Texture
 from datagen.formats.package import Package
 from datagen.formats.textures import texture_values
-from datagen.foundation.errors import InputError
+from datagen.foundation.command_line import LibraryPaths, run_function
 from datagen.foundation.images import read_image
 from datagen.library import Library
 
@@ -98,14 +96,10 @@ def sample_library(library: Library) -> dict[str, list[MaterialSample]]:
     return found
 
 
-def main(paths: list[str]) -> int:
-    """Print the statistics of the libraries at ``paths``; return the exit code, 2 for bad input."""
-    try:
-        with Library([Path(p) for p in paths]) as library:
-            found = sample_library(library)
-    except InputError as error:
-        print(error, file=sys.stderr)
-        return 2
+def main(paths: LibraryPaths) -> None:
+    """Print the statistics of the materials of libraries by class."""
+    with Library(paths) as library:
+        found = sample_library(library)
     print("class      n    value 5/50/95 %   limits     roughness 5/50/95 %  limits     spread h/s/v/R")
     for name in MATERIAL_CLASSES:
         samples = found.get(name, [])
@@ -125,8 +119,7 @@ def main(paths: list[str]) -> int:
             f"    {rough[0]:.2f} {rough[1]:.2f} {rough[2]:.2f}"
             f"       {limits.roughness_limits[0]:.2f}-{limits.roughness_limits[1]:.2f}  {' '.join(medians)}"
         )
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    run_function(main)

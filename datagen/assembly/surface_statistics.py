@@ -11,10 +11,8 @@ channel of their mean S, and of their mean R. Emissive and transparent slots and
 from __future__ import annotations
 
 import colorsys
-import sys
 from collections import defaultdict
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -22,7 +20,7 @@ from datagen.assembly.geometry import load_geometry
 from datagen.assembly.materials import MeanMaterials
 from datagen.assembly.surfaces import surfaces_of
 from datagen.formats.asset import SURFACES, EnvironmentAsset
-from datagen.foundation.errors import InputError
+from datagen.foundation.command_line import LibraryPaths, run_function
 from datagen.library import Library
 
 _MIN_SATURATION = 0.05  # the hue of a less saturated colour is noise
@@ -88,14 +86,10 @@ def _range(samples: list[SurfaceSample], field: str) -> str:
     return f"{min(finite):.2f} {middle:.2f} {max(finite):.2f}"
 
 
-def main(paths: list[str]) -> int:
-    """Print the statistics of the libraries at ``paths``; return the exit code, 2 for bad input."""
-    try:
-        with Library([Path(p) for p in paths]) as library:
-            found = sample_surfaces(library)
-    except InputError as error:
-        print(error, file=sys.stderr)
-        return 2
+def main(paths: LibraryPaths) -> None:
+    """Print the statistics of the materials in libraries by kind of surface."""
+    with Library(paths) as library:
+        found = sample_surfaces(library)
     print(
         "| surface | slots | m2 | value of D | saturation | hue | S | R |\n|---|---|---|---|---|---|---|---|"
     )
@@ -105,8 +99,7 @@ def main(paths: list[str]) -> int:
             area = sum(sample.area_m2 for sample in samples)
             cells = (_range(samples, f) for f in ("value", "saturation", "hue", "specular", "roughness"))
             print(f"| {name} | {len(samples)} | {area:.0f} | {' | '.join(cells)} |")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    run_function(main)

@@ -23,6 +23,7 @@ from datagen.formats.asset import SURFACES, EnvironmentAsset, Material, Material
 from datagen.formats.configuration import MaterialAssignment, PlacedAsset
 from datagen.formats.package import Package
 from datagen.formats.recipe import MaterialRecipe, Recipe, Variation
+from datagen.foundation.errors import InputError
 from datagen.foundation.random import Draws
 from datagen.library import Library, bundled_library
 from tests.conftest import REPOSITORY
@@ -259,6 +260,7 @@ def test_statistics_of_surfaces(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     assert len(samples["floor"]) == len(samples["ceiling"]) == 1
     assert samples["ceiling"][0].area_m2 > 20
     assert weighted_median([3.0, 1.0, float("nan")], [1.0, 2.0, 9.0]) == 1.0
-    assert main([str(root)]) == 0
+    main([root])
     assert "| floor | 1 |" in capsys.readouterr().out
-    assert main([str(tmp_path / "nowhere")]) == 2
+    with pytest.raises(InputError):
+        main([tmp_path / "nowhere"])

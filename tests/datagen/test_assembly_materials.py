@@ -32,6 +32,7 @@ from datagen.formats.asset import (
 )
 from datagen.formats.configuration import ColorAdjustment, MaterialAssignment, PlacedAsset
 from datagen.formats.recipe import MaterialRecipe
+from datagen.foundation.errors import InputError
 from datagen.foundation.random import Draws
 from datagen.library import Library
 from datagen.rendering.textures import adjusted_constant
@@ -228,7 +229,7 @@ def test_class_statistics_measure_a_library(library: Library, capsys: pytest.Cap
     assert (steel.value, steel.roughness) == (0.0, 0.3) and np.isnan(steel.value_spread)
     noisy = [s for s in samples["stone"] if np.isfinite(s.value_spread)]
     assert len(noisy) == 1 and 1.1 < noisy[0].value_spread < 1.5
-    assert main([str(path) for path in library.paths]) == 0
+    main(list(library.paths))
     assert "metal       1   0.00 0.00 0.00    0.00-1.00    0.30 0.30 0.30" in capsys.readouterr().out
-    assert main(["/nowhere"]) == 2
-    assert "no such folder" in capsys.readouterr().err
+    with pytest.raises(InputError, match="no such folder"):
+        main([Path("/nowhere")])
