@@ -22,7 +22,7 @@ from datagen.assembly.likely import LikelyDresser
 from datagen.assembly.looks import RoomStyle
 from datagen.assembly.materials import MeanMaterials, assign_materials, mean_materials
 from datagen.assembly.placement import Shortfall, place_things
-from datagen.assembly.splits import Pools, pools_of_split, recipe_problems, split_of
+from datagen.assembly.splits import Pools, pools_of_split, split_of
 from datagen.assembly.surfaces import surfaces_of
 from datagen.assembly.things import PlacedThing, Room, Thing
 from datagen.assembly.views import ViewFinder
@@ -31,7 +31,6 @@ from datagen.formats.configuration import Configuration, PlacedAsset, Split, Vie
 from datagen.formats.lights import EnvironmentLight
 from datagen.formats.package import Package
 from datagen.formats.recipe import Recipe
-from datagen.foundation.errors import raise_problems
 from datagen.foundation.random import Draws, digest
 from datagen.library import Library
 
@@ -50,15 +49,6 @@ _MEANS = MeanMaterials()
 def configuration_id(recipe: Recipe, index: int) -> str:
     """Id of configuration ``index`` of a recipe: the recipe's name and the index in five digits."""
     return f"{recipe.name}-{index:05d}"
-
-
-def check_recipe(recipe: Recipe, library: Library) -> None:
-    """Raise :class:`InputError` with the faults that would make a configuration fail.
-
-    These are filters and weights without a match in the library, splits without configurations or assets, and
-    a library without rooms.
-    """
-    raise_problems(recipe_problems(recipe, library))
 
 
 def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:

@@ -97,11 +97,11 @@ _POOLS: WeakKeyDictionary[Library, dict[str, dict[Split, Pools]]] = WeakKeyDicti
 
 
 def pools_of_split(recipe: Recipe, library: Library, split: Split) -> Pools:
-    """Assets that a split may use. Raises :class:`InputError` with the :func:`recipe_problems`, if any."""
+    """Assets that a split may use. Raises as :func:`check_recipe` does."""
     per_recipe = _POOLS.setdefault(library, {})
     key = sha256_hex(canonical_json(recipe))
     if key not in per_recipe:
-        raise_problems(recipe_problems(recipe, library))
+        check_recipe(recipe, library)
         per_recipe.clear()
         per_recipe[key] = _all_pools(recipe, library)
     return per_recipe[key][split]
@@ -231,8 +231,12 @@ def _materials(package: Package) -> dict[str, Material]:
     return dict(package.as_kind(GeometryAsset).materials)
 
 
-def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
-    """List all contradictions between a recipe and a library, and faults of assets that cannot be planned."""
+def check_recipe(recipe: Recipe, library: Library) -> None:
+    """Raise :class:`InputError` with the faults that would make a configuration fail.
+
+    These are filters and weights without a match in the library, splits without configurations or assets, a
+    library without rooms, and degenerate shapes.
+    """
     where = f"recipe {recipe.name}"
     problems = _name_problems(recipe, library, where)
     pools = _everything(recipe, library)
@@ -272,7 +276,7 @@ def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
             )
     if recipe.splits.disjoint and not problems:
         problems += _disjoint_problems(recipe, pools, where)
-    return problems
+    raise_problems(problems)
 
 
 def _disjoint_problems(recipe: Recipe, pools: Pools, where: str) -> list[Problem]:

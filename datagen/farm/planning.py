@@ -13,7 +13,8 @@ import yaml
 
 from datagen.assembly.generated import room_of
 from datagen.assembly.notes import notes_before
-from datagen.assembly.plan import NUM_TRIES, assemble, check_recipe, configuration_id
+from datagen.assembly.plan import NUM_TRIES, assemble, configuration_id
+from datagen.assembly.splits import check_recipe
 from datagen.farm.folder import DatasetFolder, FolderRecord, Plan, PlannedUnit, rooms_of, unit_key
 from datagen.formats.base import canonical_json, read_json, sha256_hex, write_bytes_atomically
 from datagen.formats.configuration import Configuration

@@ -11,7 +11,8 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from datagen.assembly.plan import assemble, check_recipe, world_of
+from datagen.assembly.plan import assemble, world_of
+from datagen.assembly.splits import check_recipe
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.base import read_yaml
 from datagen.formats.configuration import Configuration, ViewCamera

@@ -13,7 +13,8 @@ import pytest
 from datagen.assembly.generated import generated_room
 from datagen.assembly.notes import rooms_without_sky
 from datagen.assembly.panoramas import OUTSIDE_SHARE, panoramas_of
-from datagen.assembly.plan import assemble, check_recipe
+from datagen.assembly.plan import assemble
+from datagen.assembly.splits import check_recipe
 from datagen.assembly.white_balance import ADAPTATION, NO_TINT, tint_of_lamps
 from datagen.asset_check import check_package
 from datagen.formats.asset import Daytime, PanoramaAsset, Provenance

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from datagen.assembly.geometry import load_geometry
-from datagen.assembly.plan import assemble, check_recipe
+from datagen.assembly.plan import assemble
+from datagen.assembly.splits import check_recipe
 from datagen.assembly.things import Room
 from datagen.formats.base import canonical_json
 from datagen.formats.configuration import Configuration, PlacedAsset

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datagen.assembly.plan import assemble, check_recipe
-from datagen.assembly.splits import SPLITS, pools_of_split, split_counts, split_of
+from datagen.assembly.plan import assemble
+from datagen.assembly.splits import SPLITS, check_recipe, pools_of_split, split_counts, split_of
 from datagen.formats.asset import LightSlot, Opening, Provenance, SupportSurface, Texture
 from datagen.formats.lights import AreaLight, SkyLight
 from datagen.formats.package import open_package, write_package

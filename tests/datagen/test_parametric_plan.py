@@ -12,7 +12,8 @@ import pytest
 
 from datagen.assembly.generated import example_rooms, generated_room, room_of
 from datagen.assembly.notes import unplaceable
-from datagen.assembly.plan import NUM_TRIES, assemble, check_recipe
+from datagen.assembly.plan import NUM_TRIES, assemble
+from datagen.assembly.splits import check_recipe
 from datagen.farm.collect import collect
 from datagen.farm.folder import DatasetFolder, library_of
 from datagen.farm.local import LocalOptions, run_local
