@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.exports.rooms import Export, Room, picture
-from datagen.foundation.images import encode_png
+from datagen.exports.rooms import Export, Room
+from datagen.foundation.images import encode_png, shown_bytes
 
 _OPENGL_FROM_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])
 _POINTS = 200_000
@@ -30,7 +30,7 @@ def export_nerfstudio(export: Export, room: Room) -> None:
         camera, record = view.camera, view.record
         buffers = view.read("beauty", "depth_z_m", "surface_mask")
         depth = buffers["depth_z_m"][..., 0]
-        shown = picture(buffers["beauty"], room.exposure)
+        shown = shown_bytes(buffers["beauty"], room.exposure)
         stored = np.clip(depth / unit_m + 0.5, 0, 65535).astype(np.uint16)
         export.write(f"{name}/images/{record.name}.png", encode_png(shown))
         export.write(f"{name}/depth/{record.name}.png", encode_png(stored))

@@ -21,9 +21,8 @@ from datagen.formats.configuration import Configuration, PlacedAsset, Split
 from datagen.formats.shard import Dataset, ShardReader, ViewPlace, index_shard, read_buffers, read_record
 from datagen.formats.view import ViewRecord
 from datagen.foundation.cameras import Camera
-from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.errors import input_error
-from datagen.foundation.images import encode_png
+from datagen.foundation.images import encode_png, shown_bytes
 from datagen.library import Library
 
 MARKER = "export.json"
@@ -83,9 +82,7 @@ class Export:
 
     def write(self, name: str, data: bytes) -> None:
         """Write ``data`` atomically to file ``name`` of the export."""
-        path = self.out / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes_atomically(path, data)
+        write_bytes_atomically(self.out / name, data, parents=True)
         self.num_files += 1
 
     def write_json(self, name: str, value: dict[str, Any]) -> None:
@@ -95,7 +92,7 @@ class Export:
 
     def write_picture(self, name: str, beauty: NDArray, exposure: float) -> None:
         """Write an 8-bit sRGB PNG of linear radiance (H, W, 3) times ``exposure``."""
-        self.write(name, encode_png(picture(beauty, exposure)))
+        self.write(name, encode_png(shown_bytes(beauty, exposure)))
 
 
 def pixel_box(mask: NDArray[np.bool_]) -> list[int]:
@@ -103,12 +100,6 @@ def pixel_box(mask: NDArray[np.bool_]) -> list[int]:
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     left, top = int(columns[0]), int(rows[0])
     return [left, top, int(columns[-1]) - left + 1, int(rows[-1]) - top + 1]
-
-
-def picture(beauty: NDArray, exposure: float) -> NDArray[np.uint8]:
-    """Convert linear radiance (H, W, 3) times ``exposure`` to an 8-bit sRGB image."""
-    shown = srgb_from_linear(np.clip(beauty.astype(np.float32) * exposure, 0.0, 1.0))
-    return (255.0 * shown + 0.5).astype(np.uint8)
 
 
 def open_rooms(dataset: Path, split: Split | None, only: Sequence[str]) -> list[Room]:
