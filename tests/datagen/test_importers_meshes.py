@@ -26,7 +26,7 @@ from datagen.foundation.meshes.ply import decode_ply
 from datagen.importers.command import ImportWords
 from datagen.importers.common import ImportedAsset, ImportOptions
 from datagen.importers.dispatch import import_asset
-from datagen.importers.summary import group_sentences, summary_lines
+from datagen.importers.watch import group_sentences, summary_lines
 
 SIZE = (1.6, 0.5, 0.8)  # extents of a sofa in metres, Z up
 OPTIONS = ImportOptions(license="CC0-1.0")
