@@ -28,8 +28,7 @@ from datagen.importers.classes import guess_category
 from datagen.importers.common import RESTORE_IT, ImportedAsset, ImportOptions
 from datagen.importers.glb import GlbMaterial, encode_glb
 from datagen.importers.gltf import import_gltf
-from datagen.importers.obj_materials import PhongMaterial, read_mtl
-from datagen.importers.obj_model import creased, read_obj_model
+from datagen.importers.obj_model import PhongMaterial, creased, read_mtl, read_obj_model
 
 _IMAGE_TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
 _UNITS_M = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}

@@ -32,8 +32,7 @@ from datagen.importers.annotate import Annotations, read_annotations
 from datagen.importers.classes import guess_category, guess_supports
 from datagen.importers.common import RESTORE_IT, ImportedAsset, ImportJob, ImportOptions, note_mended
 from datagen.importers.mitsuba_xml import is_pane
-from datagen.importers.obj_materials import PhongMaterial, read_mtl
-from datagen.importers.obj_model import ObjModel, read_obj_model
+from datagen.importers.obj_model import ObjModel, PhongMaterial, read_mtl, read_obj_model
 from datagen.importers.packaging import finish
 from datagen.importers.sweet_home_catalogue import Catalogue, Piece, open_catalogue
 from datagen.importers.sweet_home_materials import ConvertedMaterial, PhongConverter

@@ -22,7 +22,7 @@ from datagen.importers.channels import Color, ColorValue, ImageSource, ScalarVal
 from datagen.importers.classes import REPLACEABLE, guess_class
 from datagen.importers.common import OPAL_ALBEDO, RESTORE_IT, ImportJob
 from datagen.importers.fresnel import perceptual_roughness
-from datagen.importers.obj_materials import PhongMaterial
+from datagen.importers.obj_model import PhongMaterial
 
 F0_PER_SPECULAR = 0.08
 """F0 of a non-metal at Ks = 1; Ks = 0.5, the default in Blender and Disney's model, gives 0.04."""

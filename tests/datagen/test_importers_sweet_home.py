@@ -23,8 +23,7 @@ from datagen.foundation.meshes.ply import decode_ply
 from datagen.importers.classes import guess_category, guess_supports
 from datagen.importers.common import ImportOptions
 from datagen.importers.dispatch import find_sources, import_asset
-from datagen.importers.obj_materials import PhongMaterial, read_mtl
-from datagen.importers.obj_model import read_obj_model, triangulate
+from datagen.importers.obj_model import PhongMaterial, read_mtl, read_obj_model, triangulate
 from datagen.importers.sweet_home import Step, import_sweet_home
 from datagen.importers.sweet_home_catalogue import (
     CATALOGUE_FILE,
