@@ -130,16 +130,12 @@ class _Parser:
     def load(self, path: Path) -> ElementTree.Element:
         if path in self.loaded:
             return self.loaded[path]
+        if not path.is_file():  # a pipe would block for ever
+            raise input_error(path, got="no such file", expected="a Mitsuba scene (XML)")
+        if path.stat().st_size > MAX_XML_BYTES:
+            raise input_error(path, got="over 256 MB", expected="a scene description")
         try:
-            if not path.is_file():  # a pipe would block for ever
-                raise input_error(path, got="no such file", expected="a Mitsuba scene (XML)")
-            self.budget.hold_file(path)
-            if path.stat().st_size > MAX_XML_BYTES:
-                raise input_error(path, got="over 256 MB", expected="a scene description")
-            data = path.read_bytes()
-            text = data.decode("utf-8")
-        except OSError as error:
-            raise input_error(path, got=error.strerror or error, expected="a Mitsuba scene (XML)") from None
+            text = self.budget.read_file(path, "a Mitsuba scene (XML)").decode("utf-8")
         except UnicodeDecodeError:
             raise input_error(path, got="not UTF-8", expected="a Mitsuba scene (XML in UTF-8)") from None
         root = parse_xml(text, path, self.budget, "correct the file")
