@@ -32,6 +32,9 @@ def affine(linear: ArrayLike, offset: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[np
 Z_UP_FROM_Y_UP = affine([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Rotation from +Y up to +Z up: (x, y, z) becomes (x, -z, y)."""
 
+MITSUBA_FROM_ENVIRONMENT = affine([[-1, 0, 0], [0, 0, 1], [0, 1, 0]])
+"""Rotation from the project's environment frame (image centre +Y, top +Z) to Mitsuba's (+Z, +Y), and back."""
+
 
 def rotation(axis: str, angle_rad: float) -> NDArray[np.float64]:
     """Return the right-handed rotation matrix (3, 3) about the axis ``x``, ``y`` or ``z``."""

@@ -25,16 +25,11 @@ from datagen.formats.lights import (
     SpotLight,
 )
 from datagen.formats.mitsuba.scene import SceneNode
-from datagen.foundation.axes import affine, unit_vector
+from datagen.foundation.axes import MITSUBA_FROM_ENVIRONMENT, affine, unit_vector
 from datagen.foundation.errors import Problems
 from datagen.foundation.naming import unique
 from datagen.importers.common import ImportJob
 from datagen.importers.mitsuba_values import file_of, rgb_of
-
-MITSUBA_FROM_ENVIRONMENT = np.array(
-    [[-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-)
-"""Rotation (4, 4) from the project's environment frame (image centre +Y, top +Z) to Mitsuba's (+Z, +Y)."""
 
 
 @dataclass

@@ -25,6 +25,7 @@ from datagen.formats.lights import (
     SphereLight,
     SpotLight,
 )
+from datagen.foundation.axes import MITSUBA_FROM_ENVIRONMENT
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.images import read_radiance
 from datagen.foundation.meshes.mesh import Mesh
@@ -36,10 +37,6 @@ if TYPE_CHECKING:
 DISK_CORNERS = 64
 """Number of corners of the polygon that approximates an elliptic light to within 0.08 % of the radius."""
 _MIN_AREA_M2 = 1e-12  # Mitsuba divides by the area
-# From Mitsuba's envmap frame (Y up, centre column along +Z) to the project's (Z up, centre column along +Y).
-_ENVIRONMENT_FROM_MITSUBA = np.array(
-    [[-1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]], dtype=np.float64
-)
 
 
 @dataclass
@@ -181,7 +178,7 @@ def _environment(light: EnvironmentLight, where: str, library: Library, problems
     except InputError as error:
         problems.extend(error.problems)
         return None
-    world_from_mitsuba = np.asarray(light.world_from_environment, np.float64) @ _ENVIRONMENT_FROM_MITSUBA
+    world_from_mitsuba = np.asarray(light.world_from_environment, np.float64) @ MITSUBA_FROM_ENVIRONMENT
     return {
         "type": "envmap",
         "bitmap": mi.Bitmap(np.ascontiguousarray(pixels, dtype=np.float32)),
