@@ -16,21 +16,19 @@ import yaml
 from datagen.formats.asset import MaterialClass, SupportKind
 
 _TABLES: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("classes.yaml").read_text("utf-8"))
-_WORD_CLASS: dict[str, MaterialClass] = {
-    word: name for name, words in _TABLES["class_words"].items() for word in words.split()
-}
-_FINISHES = {"paint", "painted", "lacquer", "lacquered", "glazed", "wallpaper"}  # hide the material below
 
-_WORD_CATEGORY: dict[str, str] = {
-    word: name for name, words in _TABLES["category_words"].items() for word in words.split()
-}
-_FLOOR_CATEGORIES = {
-    "seat", "table", "cabinet", "shelf", "bed", "sanitary", "white_goods", "instrument", "vehicle",
-    "railing", "rug", "stairs", "door", "person",
-}  # fmt: skip
-_TALL_ON_FURNITURE = {
-    "lamp", "plant", "vase", "bottle", "statuette", "electronics", "appliance", "frame", "candle", "clock",
-}  # fmt: skip
+
+def _by_word(table: str) -> dict[str, Any]:
+    return {word: name for name, words in _TABLES[table].items() for word in words.split()}
+
+
+_WORD_CLASS: dict[str, MaterialClass] = _by_word("class_words")
+_FINISHES = {"paint", "painted", "lacquer", "lacquered", "glazed", "wallpaper"}  # hide the material below
+_WORD_CATEGORY: dict[str, str] = _by_word("category_words")
+ROLE_OF_WORD: dict[str, str] = _by_word("map_words")
+"""Role of an image in a material, such as ``roughness``, by the last word or two of its name."""
+_FLOOR_CATEGORIES = set(_TABLES["floor_categories"].split())
+_TALL_ON_FURNITURE = set(_TABLES["tall_on_furniture"].split())
 
 REPLACEABLE: dict[MaterialClass, tuple[MaterialClass, ...]] = {
     name: tuple(others) for name, others in _TABLES["replaceable"].items()

@@ -22,27 +22,12 @@ from datagen.importers.channels import (
     ScalarValue,
     encode_exr,
 )
-from datagen.importers.classes import guess_class
+from datagen.importers.classes import ROLE_OF_WORD, guess_class
 from datagen.importers.common import ImportedAsset, ImportJob, ImportOptions, provenance
 from datagen.importers.packaging import finish
 from datagen.importers.pbr import green_points_up, metallic_roughness
 
 _IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff", ".tga", ".bmp")
-_ROLE_WORDS = {
-    "color": "color col diff diffuse albedo basecolor base_color",
-    "roughness": "roughness rough",
-    "metalness": "metalness metallic metal",
-    "normal_gl": "normalgl nor_gl normal_gl",
-    "normal_dx": "normaldx nor_dx normal_dx",
-    "normal": "normal nor nrm",
-    "opacity": "opacity alpha mask",
-    "arm": "arm orm",
-    "occlusion": "ambientocclusion ao occlusion",
-    "displacement": "displacement disp height bump",
-    "emission": "emission emissive emit",
-    "specular": "specular spec spec_ior",
-}
-_WORD_ROLE = {word: role for role, words in _ROLE_WORDS.items() for word in words.split()}
 _RESOLUTION = re.compile(r"[_-]\d+k(?=[_\-.]|$)|[_-](jpg|png)(?=_|$)", re.I)
 _LEFT_OUT = ("occlusion", "displacement", "emission", "specular")
 DEFAULT_TILE_M = 1.0
@@ -53,7 +38,7 @@ def role_of(name: str) -> str:
     stem = _RESOLUTION.sub("", Path(name).stem).lower().replace("-", "_")
     words = stem.split("_")
     for length in (2, 1):
-        role = _WORD_ROLE.get("_".join(words[-length:])) if len(words) > length or length == 1 else None
+        role = ROLE_OF_WORD.get("_".join(words[-length:])) if len(words) > length or length == 1 else None
         if role:
             return role
     return ""
