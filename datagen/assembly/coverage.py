@@ -94,26 +94,16 @@ def measure(
     everywhere = np.concatenate(points)
     counts = np.sum([sees(preview, everywhere, scene.rays) for preview in previews], axis=0)
     faces = np.concatenate([found.face[found.hit_mask] for found in hits])
-    specular, rough = _of_faces(scene, assigned)
-    size = max(len(counts), 1)
-    return ViewCoverage(
-        median_observations=float(np.median(counts)) if len(counts) else 0.0,
-        thin_share=_share(int((counts <= 2).sum()), size),
-        room_share=_share(rooms, max(len(cameras), 1)),
-        metal_share=_share(int((specular[faces] > METAL_SPECULAR).sum()), max(len(faces), 1)),
-        gloss_share=_share(int((rough[faces] < GLOSSY_ROUGHNESS).sum()), max(len(faces), 1)),
-    )
-
-
-def _share(count: int, of: int) -> float:
-    return round(count / of, 4)
-
-
-def _of_faces(scene: WorldScene, assigned: tuple[dict[str, MeanMaterial], ...]) -> tuple[Floats, Floats]:
-    """Return the brightest channel of mean S (M,) and mean R (M,) of each triangle's material."""
     tables = [
         np.array([(max(w[p.material].specular_albedo), w[p.material].roughness) for p in g.asset.parts])
         for g, w in zip(scene.geometries, assigned, strict=True)
     ]
-    found = scene.rows_of_faces(tables)
-    return found[:, 0], found[:, 1]
+    specular, rough = scene.rows_of_faces(tables)[faces].T
+    num_points, num_hits = max(len(counts), 1), max(len(faces), 1)
+    return ViewCoverage(
+        median_observations=float(np.median(counts)) if len(counts) else 0.0,
+        thin_share=round(int((counts <= 2).sum()) / num_points, 4),
+        room_share=round(rooms / max(len(cameras), 1), 4),
+        metal_share=round(int((specular > METAL_SPECULAR).sum()) / num_hits, 4),
+        gloss_share=round(int((rough < GLOSSY_ROUGHNESS).sum()) / num_hits, 4),
+    )

@@ -176,9 +176,10 @@ class LikelyDresser:
             if choices:
                 choice = weighted_item(choices, [c.look.weight for c in choices], units[2])
                 chosen = choice.packages[int(units[3] * len(choice.packages))]
-                return MaterialAssignment(
-                    asset=chosen.id, adjustment=self._adjusted(choice.look, chosen, units[4:], strength)
-                )
+                material = chosen.as_kind(MaterialAsset).material
+                found = reach(choice.look, material, self.means.mean(chosen, material))
+                assert found is not None
+                return MaterialAssignment(asset=chosen.id, adjustment=found.at(units[4:], strength))
         if is_foreign:
             plain = [p for p in self.palette if is_plain(p)]
             if plain:
@@ -215,14 +216,6 @@ class LikelyDresser:
         if not all(is_assignable(material, slot, asset) for slot in slots):
             return False
         return reach(look, material.material, self.means.mean(package, material.material)) is not None
-
-    def _adjusted(
-        self, look: Look, package: Package, where: NDArray[np.float64], strength: float
-    ) -> ColorAdjustment:
-        material = package.as_kind(MaterialAsset).material
-        found = reach(look, material, self.means.mean(package, material))
-        assert found is not None
-        return found.at(where, strength)
 
 
 def _varied(

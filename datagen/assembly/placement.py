@@ -234,7 +234,15 @@ def place_things(
     if not shelves:
         if recipe.count[0] == 0:
             return []
-        _raise_nothing_fits(room, things)
+        kinds = sorted({s.kind for s in room.asset.support_surfaces})
+        wanted = sorted({kind for t in things for kind in t.asset.supports})
+        raise input_error(
+            f"environment {room.asset.id}",
+            "support_surfaces",
+            f"kinds {', '.join(kinds) or 'none'}; the objects stand on {', '.join(wanted) or 'nothing'}",
+            "a surface on which some object of positive weight fits",
+            "add support surfaces, other objects, or set objects.count to [0, 0]",
+        )
     placer = Placer(room, recipe, rejections)
     chosen = [_draw_thing(shelves, draws) for _ in range(target)]
     order = sorted(range(target), key=lambda k: (-_bulk(chosen[k].asset), k))
@@ -292,15 +300,3 @@ def _draw_thing(shelves: list[_Shelf], draws: Draws) -> Thing:
 def _bulk(asset: ObjectAsset) -> float:
     size = np.array(asset.maximum_m) - np.array(asset.minimum_m)
     return float(size[0] * size[1])
-
-
-def _raise_nothing_fits(room: Room, things: list[Thing]) -> None:
-    kinds = sorted({s.kind for s in room.asset.support_surfaces})
-    wanted = sorted({kind for t in things for kind in t.asset.supports})
-    raise input_error(
-        f"environment {room.asset.id}",
-        "support_surfaces",
-        f"kinds {', '.join(kinds) or 'none'}; the objects stand on {', '.join(wanted) or 'nothing'}",
-        "a surface on which some object of positive weight fits",
-        "add support surfaces, other objects, or set objects.count to [0, 0]",
-    )

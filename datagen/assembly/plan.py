@@ -142,9 +142,13 @@ def _dress(
     pools: Pools,
     library: Library,
 ) -> tuple[list[PlacedAsset], list[Package]]:
-    """Assign materials; return the placed assets and their packages, each with the room first."""
+    """Assign materials, drawn to be likely or arbitrary; return the placed assets and their packages, each
+    with the room first."""
     packages = [environment] + [library.package(t.thing.asset.id) for t in things]
-    likely = _likely_dresser(recipe, key, pools)
+    weights, draws = recipe.materials.variation, Draws(*key[:2], "style")
+    likely = None
+    if draws.chance(weights.likely / (weights.likely + weights.wild)):
+        likely = LikelyDresser(RoomStyle.draw(draws), pools.materials, recipe.materials, _MEANS)
     placed = []
     for item, package in enumerate(packages):
         draws, foreign = Draws(*key, "materials", item), pools.foreign_slots
@@ -180,15 +184,6 @@ def _library_weights(recipe: Recipe, library: Library, pools: Pools) -> dict[str
         name = names[library.paths.index(library.root_of(package))]
         found[package.id] = (name, wanted.get(name, 1.0))
     return found
-
-
-def _likely_dresser(recipe: Recipe, key: tuple[int | str, ...], pools: Pools) -> LikelyDresser | None:
-    """Draw whether materials are likely or arbitrary; return a dresser for likely ones, else None."""
-    weights = recipe.materials.variation
-    draws = Draws(*key[:2], "style")
-    if not draws.chance(weights.likely / (weights.likely + weights.wild)):
-        return None
-    return LikelyDresser(RoomStyle.draw(draws), pools.materials, recipe.materials, _MEANS)
 
 
 def _world(geometries: list[AssetGeometry], placed: list[PlacedAsset]) -> WorldScene:
