@@ -55,7 +55,8 @@ def export(
     Example: datagen export coco rooms --out rooms-coco
     """
     from datagen.exports.rooms import Export, claim_folder, open_rooms
-    from datagen.library import Library
+    from datagen.farm.folder import library_of, rooms_of
+    from datagen.library import Library, resolve_library_paths
 
     rooms = open_rooms(folder, split, configuration or ())
     writer_name, description = FORMATS[layout]
@@ -63,7 +64,10 @@ def export(
     if dry_run:
         return
     with ExitStack() as stack:
-        paths = _library_paths(folder, library)
+        if library:
+            paths = [*resolve_library_paths(library, Path.cwd()), *rooms_of(folder)]
+        else:
+            paths = library_of(folder) or []
         opened = stack.enter_context(Library(paths)) if paths else None
         job = Export(rooms, out, opened, neighbours, min_overlap)
         writer: Any = getattr(import_module(f"datagen.exports.{layout}"), writer_name)
@@ -79,12 +83,3 @@ def export(
         if files is not None:
             files.finish()
     typer.echo(f"{out}: {job.num_files} files written")
-
-
-def _library_paths(folder: Path, library: list[str] | None) -> list[Path]:
-    from datagen.farm.folder import library_of, rooms_of
-    from datagen.library import resolve_library_paths
-
-    if library:
-        return [*resolve_library_paths(library, Path.cwd()), *rooms_of(folder)]
-    return library_of(folder) or []

@@ -83,14 +83,19 @@ def read_status(root: Path) -> FarmStatus:
         done.append(manifest)
         finish_times.append(folder.manifest_path(unit).stat().st_mtime)
     running = tuple(unit.id for unit in undone if age_of_attempt(folder.work_path(unit), now) < RUNNING_AGE_S)
-    failed = tuple(_failures(folder, undone))
+    failed: list[FailureRecord] = []
+    failures = names_in(folder.failed_path)
+    for unit in undone:
+        if f"{unit.id}.json" in failures:
+            with suppress(InputError):  # may be incomplete
+                failed.append(folder.read_failure(unit.id))
     seconds = [sum(manifest.seconds.values()) for manifest in done]
     rate = _rate_per_hour(finish_times, now)
     return FarmStatus(
         total=len(plan.units),
         done=len(done),
         running=running,
-        failed=failed,
+        failed=tuple(failed),
         waiting=len(undone) - len(running) - sum(f.id not in running for f in failed),
         views_done=sum(manifest.num_views for manifest in done),
         views_total=sum(unit.num_views for unit in plan.units),
@@ -122,16 +127,6 @@ def age_of_attempt(work: Path, now: float) -> float:
         return abs(now - (work / "running").stat().st_mtime)  # abs: the clock may have been set back
     except OSError:
         return float("inf")
-
-
-def _failures(folder: DatasetFolder, undone: list[PlannedUnit]) -> list[FailureRecord]:
-    names = names_in(folder.failed_path)
-    records = []
-    for unit in undone:
-        if f"{unit.id}.json" in names:
-            with suppress(InputError):  # may be incomplete
-                records.append(folder.read_failure(unit.id))
-    return records
 
 
 def _rate_per_hour(times: list[float], now: float) -> float | None:
