@@ -124,7 +124,9 @@ class ImageCache:
         shaped = []
         for (value, scalar), array in zip(inputs, arrays, strict=True):
             if size is not None and not is_constant(value) and array.shape[:2] != size:
-                array = _resized(array, size)
+                import cv2
+
+                array = cv2.resize(array, size[::-1], interpolation=cv2.INTER_LINEAR).astype(np.float32)
             shaped.append(array[..., None] if scalar and not is_scalar else array)
         result = np.clip(np.asarray(function(*shaped), dtype=np.float32), 0.0, 1.0)
         if size is None:
@@ -167,13 +169,6 @@ def read_any_image(file: Path) -> NDArray:
 def _color(array: NDArray) -> Color:
     red, green, blue = (float(f"{x:.6g}") for x in array)
     return red, green, blue
-
-
-def _resized(array: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
-    import cv2
-
-    resized = cv2.resize(array, (size[1], size[0]), interpolation=cv2.INTER_LINEAR)
-    return resized.astype(np.float32)
 
 
 class TextureFiles:

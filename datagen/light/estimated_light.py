@@ -122,15 +122,10 @@ def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray, sunlight: NDAr
     scaled = parts * gains
     hidden = scaled[:, gains > HIDDEN_GAIN].sum(axis=1) / (rest + scaled.sum(axis=1))
     too_bright = float((radiance > MAX_REFLECTED * whole)[is_lit].mean())
-    return replace(found, hidden=np.maximum(_by_region(hidden, lit_region, region), too_bright))
-
-
-def _by_region(values: NDArray, sampled_region: NDArray, region: NDArray) -> NDArray[np.float64]:
-    """Mean (N,) of ``values`` (K,) in each surfel's ``region`` (N,), or of all values if it has none."""
-    num = int(region.max()) + 1
-    count = np.bincount(sampled_region, minlength=num)
-    total = np.bincount(sampled_region, values, num)
-    return np.where(count > 0, total / np.maximum(count, 1), values.mean())[region]
+    num_regions = int(region.max()) + 1
+    count, total = np.bincount(lit_region, None, num_regions), np.bincount(lit_region, hidden, num_regions)
+    of_region = np.where(count > 0, total / np.maximum(count, 1), hidden.mean())
+    return replace(found, hidden=np.maximum(of_region[region], too_bright))
 
 
 def solve_gains(

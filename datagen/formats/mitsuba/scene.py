@@ -120,7 +120,13 @@ class _Parser:
             raise input_error(self.path, "scene version", repr(text), "numbers such as 3.0.0") from None
         holder = SceneNode("scene", "scene", where="scene")
         self.fill(holder, root, (self.path.resolve(),))
-        self.resolve_references(holder)
+        for node, index, identity in self.references:
+            target = self.by_id.get(identity)
+            if target is None:
+                self.problem(f"{node.where}: ref", repr(identity), "the id of a node in the scene")
+            else:
+                node.children[index] = (node.children[index][0], target)
+        self.check_graph(holder)
         raise_problems(self.problems)
         return MitsubaScene(self.path, self.version, [node for _, node in holder.children], self.by_id)
 
@@ -213,15 +219,6 @@ class _Parser:
             self.problem("alias", repr(attributes.get("id", "")), "the id of an earlier node")
         else:
             self.by_id[attributes.get("as", "")] = source
-
-    def resolve_references(self, scene: SceneNode) -> None:
-        for node, index, identity in self.references:
-            target = self.by_id.get(identity)
-            if target is None:
-                self.problem(f"{node.where}: ref", repr(identity), "the id of a node in the scene")
-            else:
-                node.children[index] = (node.children[index][0], target)
-        self.check_graph(scene)
 
     def check_graph(self, scene: SceneNode) -> None:
         """Refuse circular references and graphs whose expanded size is too large; visit each node once."""
