@@ -40,10 +40,9 @@ from PIL import Image
 from benchmarks.studies.cycles_scene import export
 from benchmarks.timing import launch, write_report
 from datagen.formats.base import canonical_json, read_json, sha256_hex
-from datagen.formats.configuration import Configuration, ViewCamera
+from datagen.formats.configuration import Configuration, ViewCamera, configuration_of
 from datagen.formats.package import open_package
 from datagen.formats.recipe import RenderRecipe
-from datagen.formats.standalone import configuration_of
 from datagen.foundation.budget import Budget
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.bundled import bundled_library
@@ -310,7 +309,7 @@ class EndToEnd:
     def _asset_maps(self, configuration: Configuration) -> list[dict[str, NDArray]]:
         path = self.result / "asset"
         with open_package(path) as package:
-            made = configuration_of(path, package.sha256)
+            made = configuration_of(package)
         return rendered_maps(made.model_copy(update={"cameras": configuration.cameras}), Library([path]))
 
     def _picture(self, name: str, ours: dict[str, NDArray], truth: dict[str, NDArray]) -> None:

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from datagen.formats.asset import PinholeFields, lens_of
+from datagen.formats.asset import EnvironmentAsset, PinholeFields, lens_of
 from datagen.formats.base import (
     IDENTITY4,
     ClipRange,
@@ -25,8 +25,10 @@ from datagen.formats.base import (
     Unit,
     check_unique,
 )
-from datagen.formats.lights import Light
+from datagen.formats.lights import Light, located_light
+from datagen.formats.package import Package
 from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import input_error
 
 Split = Literal["train", "validation", "test"]
 
@@ -144,3 +146,26 @@ class Configuration(StrictModel):
         check_unique("placed assets", (self.environment, *self.objects))
         check_unique("the cameras", self.cameras)
         return self
+
+
+def configuration_of(package: Package, seed: int = 0) -> Configuration:
+    """Configuration made of a single environment with its own materials, lights and cameras.
+
+    The cameras are named ``view_000``, ``view_001``... Raises :class:`InputError` if it has none.
+    """
+    asset = package.asset
+    if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
+        expected = "an environment with at least one camera"
+        raise input_error(package.path, "kind", asset.kind, expected, "add a camera and export again")
+    return Configuration(
+        id=asset.id,
+        index=0,
+        seed=seed,
+        environment=PlacedAsset(name="environment", asset=asset.id),
+        lights=tuple(located_light(light, asset.id) for light in asset.lights),
+        cameras=tuple(
+            ViewCamera.from_camera(f"view_{index:03d}", camera.camera())
+            for index, camera in enumerate(asset.cameras)
+        ),
+        assets={asset.id: package.sha256},
+    )

@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.asset import AssetCamera, EnvironmentAsset
-from datagen.formats.configuration import Configuration, ViewCamera
+from datagen.formats.configuration import Configuration, ViewCamera, configuration_of
 from datagen.formats.mitsuba.scene import parse_scene
 from datagen.formats.mitsuba.sensors import camera_of
 from datagen.formats.package import Package
 from datagen.formats.recipe import RenderRecipe
-from datagen.formats.standalone import configuration_of
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance
 from datagen.foundation.errors import input_error
@@ -94,7 +93,7 @@ def native_configuration(package: Package, width_px: int, height_px: int | None 
 
     Raises :class:`InputError` if it has no camera; ``height_px`` is as in :func:`camera_at`.
     """
-    alone = configuration_of(package.path, package.sha256)
+    alone = configuration_of(package)
     assert isinstance(package.asset, EnvironmentAsset)
     cameras = tuple(
         ViewCamera.from_camera(f"view_{k:03d}", camera_at(camera, width_px, height_px))

@@ -24,15 +24,15 @@ def render_package(
     import numpy as np
 
     from datagen.formats.base import write_bytes_atomically
+    from datagen.formats.configuration import configuration_of
     from datagen.formats.recipe import RenderRecipe
-    from datagen.formats.standalone import configuration_of
     from datagen.foundation.exr import encode_channels
     from datagen.library import Library
     from datagen.rendering.renderer import SceneRenderer
 
     library = Library([package_path])
     (package,) = library
-    configuration = configuration_of(package_path, package.sha256)
+    configuration = configuration_of(package)
     recipe = RenderRecipe(path_samples=samples, auxiliary_samples=4, max_depth=max_depth, denoise=denoise)
     renderer = SceneRenderer(configuration, library, recipe)
     out.mkdir(parents=True, exist_ok=True)

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.capture import CaptureGeometry, GeometryPart
+from datagen.formats.configuration import configuration_of
 from datagen.formats.package import open_package
-from datagen.formats.standalone import configuration_of
 from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.ply import read_ply
 from datagen.foundation.progress import Advance
@@ -150,6 +150,6 @@ def own_emission(asset: Path, parts: Iterable[GeometryPart], gain: float) -> Emi
 
 def relit_scenery(truth: Scenery, asset: Path) -> Scenery:
     """Scenery of the package ``asset`` under only its own lights, with the cameras of ``truth``."""
-    lights = configuration_of(asset, open_package(asset).sha256).lights
+    lights = configuration_of(open_package(asset)).lights
     scenery = recovered_scenery(truth, asset, {})
     return Scenery(scenery.configuration.model_copy(update={"lights": lights}), scenery.library)

@@ -15,13 +15,13 @@ from tests.blender_addon.living_room import MITSUBA_DEPTH
 
 
 def main(package_path: Path, out: Path, samples: int) -> None:
+    from datagen.formats.configuration import configuration_of
     from datagen.formats.package import open_package
     from datagen.formats.recipe import RenderRecipe
-    from datagen.formats.standalone import configuration_of
     from datagen.library import Library
     from datagen.rendering.renderer import SceneRenderer
 
-    configuration = configuration_of(package_path, open_package(package_path).sha256)
+    configuration = configuration_of(open_package(package_path))
     camera = configuration.cameras[0]
     pair = (camera, camera.model_copy(update={"name": "again"}))  # views are seeded by their index
     configuration = configuration.model_copy(update={"cameras": pair})

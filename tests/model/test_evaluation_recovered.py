@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from datagen.formats.capture import GeometryPart
-from datagen.formats.configuration import Configuration
+from datagen.formats.configuration import Configuration, configuration_of
 from datagen.formats.lights import AreaLight, PointLight
 from datagen.formats.package import open_package
-from datagen.formats.standalone import configuration_of
 from model.evaluation.opened_scene import INSERTED, MODIFIED, OWN, RECOVERED
 from model.evaluation.rerendering import recovered_sceneries
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
@@ -67,7 +66,7 @@ def reconstruction(tmp_path: Path) -> Path:
 
 def opened(asset: Path, gain: float) -> Opened:
     with open_package(asset) as package:
-        true: Configuration = configuration_of(asset, package.sha256)
+        true: Configuration = configuration_of(package)
     scenery = Scenery(true.model_copy(update={"lights": (SUN,)}), (asset,))
     parts = (GeometryPart("wall", 0, 5), GeometryPart("bulb", 5, 1, TRUE))
     return Opened({OWN: scenery, MODIFIED: scenery, INSERTED: scenery}, Seen(Geometry(parts)), gain)

@@ -338,7 +338,7 @@ def test_sky_is_exported_with_the_same_orientation_everywhere(tmp_path: Path) ->
     """The sky is equally oriented in the Mitsuba scene and in the package as rendered by the project."""
     import mitsuba as mi
 
-    from datagen.formats.standalone import configuration_of
+    from datagen.formats.configuration import configuration_of
     from datagen.library import Library
     from datagen.rendering.lights import make_lights
     from mitsuba_plugins import register
@@ -357,7 +357,7 @@ def test_sky_is_exported_with_the_same_orientation_everywhere(tmp_path: Path) ->
         assert isinstance(package.asset, EnvironmentAsset)
         (light,) = package.asset.lights  # no panels in addition to the sky
         assert isinstance(light, EnvironmentLight)
-        configuration = configuration_of(package.path, package.sha256)
+        configuration = configuration_of(package)
     with Library([tmp_path / "asset"]) as library:
         setup = make_lights(configuration, library, None, [])
         ours = mi.load_dict(next(iter(setup.entries.values())))

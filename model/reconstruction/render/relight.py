@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Part, Provenance, SlotMaterial
 from datagen.formats.base import matrix4, write_bytes_atomically
-from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
+from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera, configuration_of
 from datagen.formats.lights import EnvironmentLight, Light, PointLight
 from datagen.formats.package import FileSource, Package, open_package, write_package
 from datagen.formats.recipe import RenderRecipe
-from datagen.formats.standalone import configuration_of
 from datagen.foundation.axes import affine
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance, photographic_exposure
@@ -115,7 +114,7 @@ def render_asset(path: Path, options: RelightOptions) -> Iterator[RenderedImage]
 def _configuration(
     package: Package, inserted: Sequence[Package], options: RelightOptions, sky: Package | None
 ) -> tuple[Configuration, list[str]]:
-    base = configuration_of(package.path, package.sha256, options.seed)
+    base = configuration_of(package, options.seed)
     assert isinstance(package.asset, EnvironmentAsset)
     names = [camera.name for camera in package.asset.cameras]
     cameras = base.cameras
