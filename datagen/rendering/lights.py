@@ -26,7 +26,7 @@ from datagen.formats.lights import (
     SpotLight,
 )
 from datagen.foundation.axes import MITSUBA_FROM_ENVIRONMENT
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem, Problems
 from datagen.foundation.images import read_radiance
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.rendering.geometry import make_shape
@@ -62,8 +62,9 @@ def make_lights(
         return setup
     for index, light in enumerate(configuration.lights):
         name = f"light_{index}"
-        where = f"configuration {configuration.id}: lights[{index}] ({light.name})"
-        entry = _make_light(light, name, where, library, black, problems)
+        faults = Problems(f"configuration {configuration.id}: lights[{index}] ({light.name})")
+        entry = _make_light(light, name, library, black, faults)
+        problems += faults
         if entry is not None:
             setup.entries[name] = entry
             if isinstance(light, AreaLight) and not light.is_visible:
@@ -71,20 +72,17 @@ def make_lights(
     return setup
 
 
-def _make_light(
-    light: Light, name: str, where: str, library: Library, black: Any, problems: list[Problem]
-) -> Any:
+def _make_light(light: Light, name: str, library: Library, black: Any, problems: Problems) -> Any:
     if isinstance(light, PointLight):
         return {"type": "point", "position": list(light.position_m), "intensity": _rgb(light.intensity)}
     if isinstance(light, SpotLight):
-        return _spot(light, where, problems)
+        return _spot(light, problems)
     if isinstance(light, DirectionalLight):
-        return _directional(light, where, problems)
+        return _directional(light, problems)
     if isinstance(light, AreaLight):
         mesh = area_light_mesh(light)
         if not mesh.areas().sum() > _MIN_AREA_M2:
-            expected = "edges that span an area"
-            problems.append(Problem(where, "edge_u_m x edge_v_m", "no area", expected, "correct the light"))
+            problems.add("edge_u_m x edge_v_m", "no area", "edges that span an area", "correct the light")
             return None
         return make_shape(name, mesh, black, light.radiance)
     if isinstance(light, SphereLight):
@@ -96,30 +94,30 @@ def _make_light(
             "emitter": {"type": "area", "radiance": _rgb(light.radiance)},
         }
     if isinstance(light, EnvironmentLight):
-        return _environment(light, where, library, problems)
-    return _sky(light, where, problems)
+        return _environment(light, library, problems)
+    return _sky(light, problems)
 
 
 def _rgb(value: tuple[float, float, float]) -> dict[str, Any]:
     return {"type": "rgb", "value": [float(c) for c in value]}
 
 
-def _unit(vector: tuple[float, float, float], where: str, field: str, problems: list[Problem]) -> Any:
+def _unit(vector: tuple[float, float, float], field: str, problems: Problems) -> Any:
     array = np.asarray(vector, dtype=np.float64)
     length = float(np.linalg.norm(array))
     if not length > 0:
-        problems.append(Problem(where, field, str(vector), "a direction", "correct the light"))
+        problems.add(field, vector, "a direction", "correct the light")
         return None
     return array / length
 
 
-def _spot(light: SpotLight, where: str, problems: list[Problem]) -> Any:
+def _spot(light: SpotLight, problems: Problems) -> Any:
     import mitsuba as mi
 
-    direction = _unit(light.direction, where, "direction", problems)
+    direction = _unit(light.direction, "direction", problems)
     if light.beam_width_rad > light.cutoff_rad:
         got, expected = f"{light.beam_width_rad:g}", f"at most cutoff_rad = {light.cutoff_rad:g}"
-        problems.append(Problem(where, "beam_width_rad", got, expected, "lower it"))
+        problems.add("beam_width_rad", got, expected, "lower it")
         return None
     if direction is None:
         return None
@@ -136,8 +134,8 @@ def _spot(light: SpotLight, where: str, problems: list[Problem]) -> Any:
     }
 
 
-def _directional(light: DirectionalLight, where: str, problems: list[Problem]) -> Any:
-    direction = _unit(light.direction, where, "direction", problems)
+def _directional(light: DirectionalLight, problems: Problems) -> Any:
+    direction = _unit(light.direction, "direction", problems)
     if direction is None:
         return None
     sun = {"direction": direction.tolist(), "irradiance": _rgb(light.irradiance)}
@@ -164,14 +162,13 @@ def area_light_mesh(light: AreaLight) -> Mesh:
     return Mesh(corners.astype(np.float32), faces.astype(np.int32))
 
 
-def _environment(light: EnvironmentLight, where: str, library: Library, problems: list[Problem]) -> Any:
+def _environment(light: EnvironmentLight, library: Library, problems: Problems) -> Any:
     import mitsuba as mi
 
     if light.image is None:
         return {"type": "constant", "radiance": _rgb(tuple(c * light.scale for c in light.radiance))}  # type: ignore[arg-type]
     if light.asset is None:
-        expected = "the id of the package that contains the image"
-        problems.append(Problem(where, "asset", "null", expected, "name it"))
+        problems.add("asset", "null", "the id of the package that contains the image", "name it")
         return None
     try:
         pixels = read_radiance(library.package(light.asset).local_file(light.image))
@@ -187,8 +184,8 @@ def _environment(light: EnvironmentLight, where: str, library: Library, problems
     }
 
 
-def _sky(light: SkyLight, where: str, problems: list[Problem]) -> Any:
-    direction = _unit(light.sun_direction, where, "sun_direction", problems)
+def _sky(light: SkyLight, problems: Problems) -> Any:
+    direction = _unit(light.sun_direction, "sun_direction", problems)
     if direction is None:
         return None
     return {
