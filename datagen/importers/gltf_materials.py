@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -43,26 +43,22 @@ class GltfMaterial:
     uv_matrix: NDArray[np.float64] | None = None
 
 
-@dataclass
 class GltfMaterialConverter:
     """Converter of a glTF file's materials, which collects ``problems`` for the caller to raise."""
 
-    file: GltfFile
-    job: ImportJob
-    _done: dict[int, GltfMaterial] = field(default_factory=dict)
-    _uv_sets: set[int] = field(default_factory=set)
-    _uv_matrices: list[NDArray[np.float64]] = field(default_factory=list)
-    _notes: list[str] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.cache, self.textures, self.problems = self.job.cache, self.job.textures, self.job.problems
+    def __init__(self, file: GltfFile, job: ImportJob):
+        self.file, self.job = file, job
+        self.cache, self.textures, self.problems = job.cache, job.textures, job.problems
+        self._done: dict[int, GltfMaterial] = {}
 
     def convert(self, index: int | None, *hints: str) -> GltfMaterial:
         """Convert material ``index`` (None: glTF's default); its name and ``hints`` determine its class."""
         key = -1 if index is None else index
         if key not in self._done:
             entry = {} if index is None else self.file.item("materials", index, "primitive.material")
-            self._uv_sets, self._uv_matrices, self._notes = set(), [], []
+            self._uv_sets: set[int] = set()
+            self._uv_matrices: list[NDArray[np.float64]] = []
+            self._notes: list[str] = []
             name = str(entry.get("name") or ("default" if index is None else f"material_{index}"))
             taken = {m.slot for m in self._done.values()}
             material = self._material(entry, unique(name, taken), hints)
