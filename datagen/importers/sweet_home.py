@@ -73,11 +73,10 @@ def import_sweet_home(
     options = options or ImportOptions()
     _check_options(path, options)
     with open_catalogue(path, Budget(path, options.limits)) as catalogue:
-        importer = _SweetHomeImporter(catalogue, Path(out_library), options)
         records: list[ImportedAsset] = []
         problems: list[Problem] = []
         total = len(catalogue.pieces) + len(catalogue.problems)
-        for step in importer.steps():
+        for step in _steps(catalogue, Path(out_library) / "objects", options):
             if step.record is not None:
                 records.append(step.record)
             problems.extend(step.problems)
@@ -105,48 +104,40 @@ def _check_options(path: Path, options: ImportOptions) -> None:
     raise_problems(problems)
 
 
-class _SweetHomeImporter:
-    def __init__(self, catalogue: Catalogue, out_library: Path, options: ImportOptions):
-        self.catalogue, self.options = catalogue, options
-        self.folder = out_library / "objects"
-        self.known = read_annotations(options.annotations)
-
-    def steps(self) -> Iterator[Step]:
-        """Import the pieces in order, and yield a :class:`Step` for each."""
-        for name, error in self.catalogue.problems.items():
-            yield Step(name, "refused", problems=error.problems)
-        taken: set[str] = set()
-        for piece in self.catalogue.pieces:
-            asset_id = unique(slug(piece.id), taken)
-            taken.add(asset_id)
-            category = self.options.category or guess_piece_category(piece)
-            try:
-                kept = None if self.options.overwrite else self._kept(piece, asset_id)
-                if kept is not None:
-                    yield Step(piece.id, "kept", kept, category)
-                    continue
-                record = _PieceImport(self.catalogue, piece, self.options).run(
-                    self.folder, asset_id, category, self.known
-                )
-            except InputError as error:
-                yield Step(piece.id, "refused", category=category, problems=error.problems)
+def _steps(catalogue: Catalogue, folder: Path, options: ImportOptions) -> Iterator[Step]:
+    """Import the pieces of a catalogue in order, and yield a :class:`Step` for each."""
+    known = read_annotations(options.annotations)
+    for name, error in catalogue.problems.items():
+        yield Step(name, "refused", problems=error.problems)
+    taken: set[str] = set()
+    for piece in catalogue.pieces:
+        asset_id = unique(slug(piece.id), taken)
+        taken.add(asset_id)
+        category = options.category or guess_piece_category(piece)
+        try:
+            path = folder / (f"{asset_id}.zip" if options.as_zip else asset_id)
+            if path.exists() and not options.overwrite:
+                kept = _kept(path, _source(catalogue, piece), options)
+                yield Step(piece.id, "kept", kept, category)
                 continue
-            yield Step(piece.id, "imported", record, category)
+            record = _PieceImport(catalogue, piece, options).run(folder, asset_id, category, known)
+        except InputError as error:
+            yield Step(piece.id, "refused", category=category, problems=error.problems)
+            continue
+        yield Step(piece.id, "imported", record, category)
 
-    def _kept(self, piece: Piece, asset_id: str) -> ImportedAsset | None:
-        """Return the record of a piece's package from an earlier run, or None.
 
-        Raises :class:`InputError` if a package of another source has the same path.
-        """
-        path = self.folder / (f"{asset_id}.zip" if self.options.as_zip else asset_id)
-        if not path.exists():
-            return None
-        with open_package(path) as package:
-            source = package.asset.provenance
-            if not (self.options.source or source.source).startswith(_source(self.catalogue, piece)):
-                expected = "a new path; the package there comes from elsewhere"
-                raise input_error(path, got="exists already", expected=expected, remedy="remove it")
-            return ImportedAsset(package.id, package.asset.kind, path, package.sha256, source.license)
+def _kept(path: Path, origin: str, options: ImportOptions) -> ImportedAsset:
+    """Return the record of a piece's package from an earlier run.
+
+    Raises :class:`InputError` if the package is of another source than ``origin``.
+    """
+    with open_package(path) as package:
+        source = package.asset.provenance
+        if not (options.source or source.source).startswith(origin):
+            expected = "a new path; the package there comes from elsewhere"
+            raise input_error(path, got="exists already", expected=expected, remedy="remove it")
+        return ImportedAsset(package.id, package.asset.kind, path, package.sha256, source.license)
 
 
 class _PieceImport(ImportJob):
