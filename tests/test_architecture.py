@@ -69,7 +69,7 @@ MATRIX = {
         "model.reconstruction.captures": f"{_LIBRARY} datagen.farm.folder datagen.rendering.capture_geometry",
         "model.reconstruction.atlas": "datagen.foundation datagen.multiview.compiled",
         "model.reconstruction.check": f"{_GROUND} mitsuba_plugins datagen.geometry "
-        "datagen.multiview.compiled model.reconstruction.captures",
+        "model.reconstruction.captures",
         "model.reconstruction.found_lights": "",
         "model.reconstruction.stages": "datagen.foundation datagen.geometry "
         "model.reconstruction.infer_options model.reconstruction.found_lights",
@@ -85,7 +85,7 @@ MATRIX = {
         "model.reconstruction.mesh": f"{_GROUND} {_TRACED} model.reconstruction.stages",
         "model.reconstruction.merge": f"datagen.foundation datagen.multiview {_ATLAS} "
         "model.reconstruction.unwrap",
-        "model.reconstruction.export": f"{_GROUND} {_ATLAS} datagen.multiview.compiled mitsuba_plugins "
+        "model.reconstruction.export": f"{_GROUND} {_ATLAS} mitsuba_plugins "
         "model.reconstruction.found_lights",
         "model.reconstruction.report_page": "datagen.foundation model.reconstruction.found_lights "
         "model.reconstruction.infer_options model.reconstruction.stages",
