@@ -483,6 +483,8 @@ def test_missing_parts_are_named(page: Page, report: Path) -> None:
     page.wait("return document.querySelector('#viewer .notice').innerText.includes('no view view-777')")
     page.run("location.hash = '#view/elsewhere/view-000'")
     page.wait("return document.querySelector('#viewer .notice').innerText.includes('no configuration')")
+    page.run("location.hash = '#view/100%'")
+    page.wait("return document.querySelector('#viewer').hidden")
 
 
 # ---------------------------------------------------------------------- thousands of views

@@ -381,6 +381,19 @@ def test_views_without_pixels_have_thumbnails_only(dataset: Path, tmp_path: Path
     assert not list((tmp_path / "page" / "tiles").glob("*/*/sources.html"))
 
 
+def test_files_of_an_earlier_report_do_not_stay(report: Path, dataset: Path, tmp_path: Path) -> None:
+    out = tmp_path / "page"
+    shutil.copytree(report, out)
+    tiles = out / "tiles"
+    assert (tiles / "small-00001").is_dir() and list(tiles.glob("*/**/sources.*"))
+    shutil.copytree(out / "thumbnails" / "small-00000", out / "thumbnails" / "removed-00007")
+    (out / "gathered" / "removed-00007.json").write_text("{}")
+    write_report(dataset, out, ReportOptions(pixels="5", sources=False, check=False))
+    assert [path.name for path in tiles.iterdir()] == ["small-00000"]
+    assert not list(tiles.glob("*/**/sources.*"))
+    assert not list(out.glob("*/removed-00007*"))
+
+
 def test_a_damaged_shard_is_named_and_omitted(dataset: Path, tmp_path: Path) -> None:
     copy = tmp_path / "dataset"
     shutil.copytree(dataset, copy)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -67,9 +68,17 @@ class GatherJob:
     def kept_path(self) -> Path:
         return self.out / "gathered" / f"{self.record.configuration}.json"
 
+    @property
+    def tiles(self) -> Path:
+        """Folder of the configuration's tiles."""
+        return self.out / "tiles" / self.record.configuration
+
 
 def kept(work: Callable[[Any], dict[str, Any]]) -> Callable[[Any], dict[str, Any]]:
-    """Store the results of ``work`` in a job's ``kept_path`` under its ``key``, and reuse them later."""
+    """Store the results of ``work`` in a job's ``kept_path`` under its ``key``, and reuse them later.
+
+    Before ``work``, the job's folder ``tiles`` is removed.
+    """
 
     @wraps(work)
     def result_of(job: Any) -> dict[str, Any]:
@@ -78,6 +87,8 @@ def kept(work: Callable[[Any], dict[str, Any]]) -> Callable[[Any], dict[str, Any
             earlier = json.loads(job.kept_path.read_bytes())
             if isinstance(earlier, dict) and earlier.get("key") == key:
                 return earlier
+        if job.tiles.is_dir():  # of an earlier report with other options
+            shutil.rmtree(job.tiles)
         result = {"key": key, **work(job)}
         write_bytes_atomically(job.kept_path, canonical_json(result), parents=True)
         return result
@@ -113,11 +124,11 @@ def gather_shard(job: GatherJob) -> dict[str, Any]:
         records.append(record)
         _write_thumbnail(job.out / "thumbnails" / identity / f"{record.name}.jpg", view)
         if job.with_pixels:
-            tile_bytes += _write_tiles(job.out / "tiles" / identity / record.name, view)
+            tile_bytes += _write_tiles(job.tiles / record.name, view)
             if job.with_sources and record.statistics is not None:
                 geometry.append(_geometry(view))
     if job.with_pixels and job.with_sources and len(geometry) == len(records) > 0:
-        tile_bytes += _write_sources(job.out / "tiles" / identity, records, geometry)
+        tile_bytes += _write_sources(job.tiles, records, geometry)
     _write_configuration(job.out / "configurations" / f"{identity}.js", configuration, records)
     return {
         "id": identity,

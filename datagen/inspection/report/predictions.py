@@ -124,6 +124,11 @@ class CompareJob:
         name = f"{self.record.configuration}.json"
         return self.out / "gathered" / "predictions" / self.method.slug / name
 
+    @property
+    def tiles(self) -> Path:
+        """Folder of the tiles of the method's maps for the configuration."""
+        return self.out / "tiles" / TILES / self.method.slug / self.record.configuration
+
 
 @kept
 def compare_shard(job: CompareJob) -> dict[str, Any]:

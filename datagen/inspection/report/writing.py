@@ -137,7 +137,7 @@ def write_report(
         for job in jobs
         if job.shard not in damaged and method.covers(job.record.configuration)
     ]
-    _remove_other_methods(out, methods)
+    _remove_obsolete(out, methods, {shard.configuration for shard in index.shards})
     compared, _ = _run_jobs(pairs, compare_shard, "predictions", options.workers, progress)
     predictions = prediction_table(methods, compared, gathered)
     data = {
@@ -175,13 +175,23 @@ def predicted_configurations(index: DatasetIndex, methods: Iterable[Method]) -> 
     ]
 
 
-def _remove_other_methods(out: Path, methods: Iterable[Method]) -> None:
-    """Remove the files of methods of an earlier report that are not in this one."""
-    wanted = {method.slug for method in methods}
-    for home in (out / "tiles" / TILES, out / "gathered" / "predictions"):
-        for folder in home.iterdir() if home.is_dir() else ():
-            if folder.name not in wanted:
-                shutil.rmtree(folder)
+def _remove_obsolete(out: Path, methods: Iterable[Method], configurations: set[str]) -> None:
+    """Remove the files of methods and configurations of an earlier report that are not in this one."""
+    slugs = {method.slug for method in methods}
+    kept = {
+        out / "tiles": configurations | {TILES},
+        out / "tiles" / TILES: slugs,
+        out / "gathered": configurations | {"predictions"},
+        out / "gathered" / "predictions": slugs,
+        out / "thumbnails": configurations,
+        out / "configurations": configurations,
+    }
+    for home, names in kept.items():
+        for path in home.iterdir() if home.is_dir() else ():
+            if path.stem not in names and path.is_dir():
+                shutil.rmtree(path)
+            elif path.stem not in names:
+                path.unlink()
 
 
 def _check_out(out: Path) -> None:

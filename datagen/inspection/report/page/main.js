@@ -13,9 +13,18 @@
   REPORT.gallery.fill(REPORT.views, REPORT.summary.findings);
   REPORT.compare.fill();
 
+  function decoded(hash) {
+    try {
+      return decodeURIComponent(hash);
+    } catch (error) {
+      if (error instanceof URIError) return hash; // a "%" without two digits; names no view
+      throw error;
+    }
+  }
+
   let scrolled = 0;
   function go() {
-    const match = /^#view\/([^/]+)\/([^@?]+)(?:@(\d+),(\d+))?(?:\?method=([\w-]+))?$/.exec(decodeURIComponent(location.hash));
+    const match = /^#view\/([^/]+)\/([^@?]+)(?:@(\d+),(\d+))?(?:\?method=([\w-]+))?$/.exec(decoded(location.hash));
     if (!match) {
       const wasViewer = !viewer.hidden;
       viewer.hidden = true;
