@@ -66,7 +66,7 @@ def test_cells_distinguish_positions_and_orientations() -> None:
     assert ((low <= points[0]) & (points[0] < low + cells.side_m)).all()
 
 
-@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4, 1e9])
 def test_cells_follow_the_scale_of_small_scenes(scale: float) -> None:
     from datagen.rendering.transport.irradiance_cache import MAX_BRICKS, MAX_SIDE_M, SurfaceCells
 

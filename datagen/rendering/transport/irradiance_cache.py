@@ -54,7 +54,7 @@ class SurfaceCells:
             low = points_m.min(axis=0) - 0.5 * side  # walls are not at the border of the grid
             bricks = ((points_m - low) / (side * BRICK)).astype(np.int64)
             grid = bricks.max(axis=0) + 1
-            if grid.prod() <= MAX_GRID:
+            if grid.prod(dtype=float) <= MAX_GRID:
                 found = np.unique(np.ravel_multi_index(tuple(bricks.T), grid))
                 if len(found) <= MAX_BRICKS:
                     break
