@@ -198,6 +198,10 @@ def plot(points: list[Point], path: Path) -> None:
     axes.fill_between(ends, ends / 2, ends * 2, color="grey", alpha=0.12, lw=0)
     axes.set(xscale="log", yscale="log", xlim=ends, ylim=ends)
     axes.set(xlabel="true relMSE, against plain paths", ylabel="recorded relMSE")
+    ticks = [0.001, 0.002, 0.005, 0.01, 0.02]
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
+        axis.set_ticks([], minor=True)
     axes.set_aspect("equal")
     axes.legend(fontsize=8, loc="upper left")
     path.parent.mkdir(parents=True, exist_ok=True)
