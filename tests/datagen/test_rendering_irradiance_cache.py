@@ -229,18 +229,18 @@ def means_of_views(
 
 
 def test_light_does_not_leak_under_objects_smaller_than_a_cell(tmp_path: Path) -> None:
-    """A board 6 cm above the floor divides a wall cell, whose mean mixes dark and bright irradiance.
-    The floor would be twice as bright if the cache were used for surfaces as near as this."""
+    """A board 2 cm above the floor divides a wall cell, whose mean mixes dark and bright irradiance.
+    The floor would be 27 % brighter if the cache were used for surfaces as near as this."""
     scene = walled_room(window=False)
     scene.parts |= {
-        "board_below": (quad([-1.2, 1.85, 0.06], [0, 0.15, 0], [2.4, 0, 0]), "grey"),
-        "board_above": (quad([-1.2, 1.85, 0.07], [2.4, 0, 0], [0, 0.15, 0]), "grey"),
-        "board_edge": (quad([-1.2, 1.85, 0.06], [2.4, 0, 0], [0, 0, 0.01]), "grey"),
+        "board_below": (quad([-1.2, 1.85, 0.02], [0, 0.15, 0], [2.4, 0, 0]), "grey"),
+        "board_above": (quad([-1.2, 1.85, 0.03], [2.4, 0, 0], [0, 0.15, 0]), "grey"),
+        "board_edge": (quad([-1.2, 1.85, 0.02], [2.4, 0, 0], [0, 0, 0.01]), "grey"),
     }
     bulb = PointLight(name="bulb", position_m=(0.0, 0.5, 1.6), intensity=(5.0, 5.0, 5.0))
-    below = Camera(16, 4, 60, 60, 8, 4, look_at([0.0, 1.5, 0.035], [0.0, 1.95, 0.0]))
+    below = Camera(16, 4, 60, 60, 8, 4, look_at([0.0, 1.5, 0.015], [0.0, 1.95, 0.0]))
     means = means_of_views(tmp_path, scene, [below], bulb)
-    assert means["cached"] == pytest.approx(means["plain"], rel=0.25)
+    assert means["cached"] == pytest.approx(means["plain"], rel=0.12)
 
 
 def two_rooms() -> SmallScene:
