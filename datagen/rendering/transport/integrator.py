@@ -320,7 +320,8 @@ class PathTracer:
             # ---- diffuse reflection of cached irradiance -------------------------------------------------
             active_emitter = active_next & is_seen
             channels = materials.reflecting_channels_at(si, active_next)
-            survives, roulette = mi.Bool(True), mi.Float(1.0)
+            is_followed = mi.Bool(True)  # whether the lobes that remain are traced further
+            roulette = mi.Float(1.0)  # inverse probability of that
             if dr.hint(cache is not None, mode="scalar"):
                 returns = active_next & is_seen & (walk.depth > 0)
                 spread = spread_of(walk.previous, walk.previous_pdf, si, walk.ray.d)
@@ -335,10 +336,10 @@ class PathTracer:
                 left = dr.select(is_cached, 0.0, channels.diffuse_albedo)
                 channels = replace(channels, diffuse_albedo=left)
                 # The light of the specular lobe varies with direction; Russian roulette limits its paths.
-                survival = dr.clip(dr.max(channels.fresnel(si.wi)), MIN_SPECULAR_SURVIVAL, 1.0)
-                survives = ~is_cached | (~is_last & (sampler.next_1d() < survival))
-                roulette = dr.select(is_cached, 1.0 / survival, 1.0)
-                active_emitter &= survives
+                probability = dr.clip(dr.max(channels.fresnel(si.wi)), MIN_SPECULAR_SURVIVAL, 1.0)
+                is_followed = ~is_cached | (~is_last & (sampler.next_1d() < probability))
+                roulette = dr.select(is_cached, 1.0 / probability, 1.0)
+                active_emitter &= is_followed
 
             # ---- emitter sampling ------------------------------------------------------------------------
             ds, radiance = emitters.sample(si, sampler, record, active_emitter)
@@ -362,7 +363,7 @@ class PathTracer:
             sampled = dr.select(active_emitter, throughput * value * radiance * (weight * roulette), 0.0)
             direct += dr.select(walk.depth <= 1, met, 0.0) + dr.select(walk.depth == 0, sampled, 0.0)
             indirect += dr.select(walk.depth <= 1, 0.0, met) + dr.select(walk.depth == 0, 0.0, sampled)
-            ends = ~survives & ~passes
+            ends = ~is_followed & ~passes
             if dr.hint(cache is not None, mode="scalar"):
                 indirect += dr.select(is_last & ends, throughput * bsdf_weight * cached, 0.0)
 

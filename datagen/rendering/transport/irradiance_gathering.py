@@ -208,7 +208,7 @@ def _walk(
         # Directions are cosine-distributed, for the irradiance, or distributed as light is reflected.
         channels = replace(channels, diffuse_albedo=dr.select(is_known, 0.0, channels.diffuse_albedo))
         lobes = SurfaceLobes(channels, si, bounces, materials.has_mapped_normals)
-        share = dr.select(is_recorded, 1.0 - 0.5 * dr.max(specular), 0.0)
+        share = dr.select(is_recorded, 1.0 - 0.5 * dr.max(specular), 0.0)  # of cosine-distributed directions
         ds, radiance = emitters.sample(si, numbers, mi.UInt32(0), bounces)
         radiance = emitters.visible(si, ds, radiance, bounces)
         value, pdf = lobes.eval_pdf(si.to_local(ds.d))
@@ -222,19 +222,21 @@ def _walk(
         # ---- next direction --------------------------------------------------------------------------------
         choice: Any = numbers.next_1d()
         number: Any = numbers.next_2d()
-        uniform, _ = cosine_bounce(normal, number)
+        cosine_sampled, _ = cosine_bounce(normal, number)
         reflected, _, _ = lobes.sample((choice - share) / dr.maximum(1.0 - share, 1e-6), number)
-        direction = dr.select(choice < share, uniform, si.to_world(reflected))
+        direction = dr.select(choice < share, cosine_sampled, si.to_world(reflected))
         next_value, next_pdf = lobes.eval_pdf(si.to_local(direction))
         next_cosine = dr.maximum(dr.dot(normal, direction), 0.0)
         next_pdf = dr.lerp(next_pdf, next_cosine * INVERSE_PI, share)
         inverse = dr.select(next_pdf > 0.0, 1.0 / next_pdf, 0.0)
 
+        # ---- irradiance of the recorded vertices -----------------------------------------------------------
+        onward = arriving + value * lit / survival  # radiance towards the previous vertex
+        factor = dr.select(bounces, next_value * (inverse / survival), 1.0)
         cell, is_inside = cache.cells.index(si.p, normal)
         for bounce in range(BOUNCES + 1):
-            radiance = arriving + value * lit / survival
-            irradiance[bounce] += dr.select(arrives, throughput[bounce] * radiance, 0.0)
-            throughput[bounce] *= dr.select(bounces, next_value * (inverse / survival), 1.0)
+            irradiance[bounce] += dr.select(arrives, throughput[bounce] * onward, 0.0)
+            throughput[bounce] *= factor
             here = bounces & (walk.depth == bounce)
             cells[bounce] = dr.select(here, cell, cells[bounce])
             is_found[bounce] |= here & is_inside
