@@ -60,9 +60,10 @@ class RenderRecord(StrictModel):
     is the largest number for any pixel, ``estimated_rel_mse`` the relMSE of the beauty image, estimated from
     two independent halves of the samples, plus its standard error, and ``at_ceiling`` is true if the sample
     limit was reached before the target. ``firefly_clamp_radiance`` is the maximum radiance of a path of two
-    or more bounces, ``clamped_energy`` the share of the luminance removed by it. ``max_energy_left`` bounds
-    the share of the light on paths longer than ``max_depth``. ``irradiance_cell_m``: side of the cells of
-    cached irradiance in which paths ended; None if all light was traced.
+    or more bounces, ``clamped_energy`` the share of the luminance removed by it, of which the part that is
+    certain enough is spread over its surroundings. ``max_energy_left`` bounds the share of the light on paths
+    longer than ``max_depth``. ``irradiance_cell_m``: side of the cells of cached irradiance in which paths
+    ended; None if all light was traced.
     """
 
     variant: str

@@ -50,22 +50,23 @@ def relative_mse_of_parts(
 
     For each of the six pairs (r1, r2), (x - r1)(x - r2) is divided by the squared mean of the other two.
     Dividing by the mean of r1 and r2 would overweight pixels that are dark by chance in both; relative noise
-    s of each reference would add 3/2 s^4.
+    s of each reference would add 3/2 s^4. The standard error is that of pixels with independent noise, of any
+    distribution: a firefly in two references counts as uncertain, not as an error.
     """
     x, references = image.astype(np.float64), [part.astype(np.float64) for part in parts]
     scale = exposure_for(np.mean(references, axis=0)) if exposed else 1.0
     differences = [scale * (x - reference) for reference in references]
-    pairs = []
+    pairs, totals = [], [np.zeros(x.shape[:2]) for _ in range(4)]  # totals of the pairs with each reference
     for i, j in itertools.combinations(range(4), 2):
         others = [references[k] for k in range(4) if k not in (i, j)]
         level = 0.5 * scale * (others[0] + others[1])
         pairs.append((differences[i] * differences[j] / (level**2 + EPSILON)).mean(axis=-1))
+        totals[i] += pairs[-1]
+        totals[j] += pairs[-1]
     errors = np.mean(pairs, axis=0)
-    middle = np.mean(references, axis=0)
-    variance = scale**2 * np.var(references, axis=0, ddof=1) / ((scale * middle) ** 2 + EPSILON)
-    variance = variance.mean(axis=-1)
-    # With error e, noise n_i of variance s^2 in each reference and its mean n, the variance of
-    # e^2 - 2 e n + (mean of the six products n_i n_j) is e^2 s^2 + s^4 / 6. The square of the variance
-    # estimated from four values is 5/3 s^4 on average.
-    noise = np.maximum(errors, 0.0) * variance + variance**2 / 10.0
-    return float(errors.mean()), math.sqrt(float(noise.sum())) / noise.size
+    # Analysis of variance of a diallel: a pair is the sum of effects of its two references (3 degrees of
+    # freedom) and of an interaction (2), of variances s^2 and t^2; the mean of all pairs has s^2 + t^2 / 6.
+    of_references = sum(np.square(total - 3.0 * errors) for total in totals) / 2.0
+    of_interaction = sum(np.square(pair - errors) for pair in pairs) - of_references
+    variance = float((of_references / 3.0 / 2.0 - of_interaction / 2.0 / 3.0).sum())
+    return float(errors.mean()), math.sqrt(max(variance, 0.0)) / errors.size

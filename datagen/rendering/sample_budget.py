@@ -21,7 +21,7 @@ half, whose noise is independent and unbiased:
 U contains products of the halves' noise, (a - r)(b - r), which vanish only in the mean over many pixels. With
 few pixels or strong noise, the estimate of bias^2 has a high variance, and V, whose variance is low, serves
 as a prior (:func:`_squared_bias`). None of these includes the energy removed by a firefly clamp, whose amount
-is recorded by pixel and half (:func:`_clamped_error`).
+is recorded by pixel and half (:mod:`datagen.rendering.clamped_light`).
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import exposure_for, luminance
+from datagen.rendering.clamped_light import missing_error
 from datagen.rendering.error import EPSILON
 
 FIRST_SAMPLES = 8
@@ -48,8 +49,6 @@ MAX_GROWTH = 4
 """Maximum factor by which a pass multiplies a tile's samples, since errors from few samples are imprecise."""
 MIN_SHARE = 0.05
 """Fraction of the mean error of all tiles added to each tile, for light that no sample has hit yet."""
-CLAMP_BLUR_PX = 2.0
-"""Standard deviation of the Gaussian that smooths the clamped energy of single pixels."""
 MIN_PASS = 0.1
 """Minimum size of a pass relative to all earlier samples, since every pass requires an error estimate."""
 SAMPLE_STEP = 4
@@ -140,7 +139,7 @@ def estimate_error(
     weight = scale**2 / ((scale * finished) ** 2 + EPSILON) / 3.0
     spread_map = (weight * 0.5 * (clean_a - clean_b) ** 2).sum(axis=-1).astype(np.float32)
     spread = float(spread_map.mean(dtype=np.float64))
-    clamped = 0.0 if removed is None else _clamped_error(removed, scale, finished)
+    clamped = 0.0 if removed is None else missing_error(luminance(finished), removed, scale)
     if denoised[0] is halves[0]:  # without a denoiser, there is no bias
         return ErrorEstimate(0.5 * spread + clamped, 0.0, spread, 0.0, 0.0, spread_map)
     squared_error = 0.5 * ((clean_a - b) ** 2 + (clean_b - a) ** 2 - (a - b) ** 2)
@@ -150,24 +149,6 @@ def estimate_error(
     bias, standard_error = _squared_bias(spread, measured, bias_error)
     error = 0.5 * spread + bias + clamped
     return ErrorEstimate(error, standard_error, spread, measured, bias_error, spread_map)
-
-
-def _clamped_error(
-    removed: tuple[NDArray[np.float64], NDArray[np.float64]], scale: float, finished: NDArray[np.float64]
-) -> float:
-    """relMSE due to clamping, the mean square of the share of light removed around each pixel.
-
-    The square is the product of both halves' shares, whose independent noise cancels in the mean.
-    """
-    from scipy import ndimage
-
-    if not (removed[0].any() and removed[1].any()):
-        return 0.0
-    level = luminance(finished)
-    kept, *lost = (ndimage.gaussian_filter(image, CLAMP_BLUR_PX) for image in (level, *removed))
-    light = np.maximum(kept + 0.5 * (lost[0] + lost[1]), 1e-300)  # prevents 0 / 0 in unlit areas
-    weight = (scale * level) ** 2 / ((scale * level) ** 2 + EPSILON)
-    return float((weight * (lost[0] / light) * (lost[1] / light)).mean())
 
 
 def _squared_bias(spread: float, measured: float, bias_error: float) -> tuple[float, float]:

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from datagen.formats.base import quantized
 from datagen.formats.view import RenderRecord
 from datagen.foundation.buffers import BUFFERS, GROUND_TRUTH_BUFFERS, RENDERED_BUFFERS
-from datagen.foundation.color import exposure_for
+from datagen.foundation.color import exposure_for, luminance
 from datagen.foundation.errors import input_error
+from datagen.rendering.clamped_light import restored_share
 from datagen.rendering.denoiser import Denoiser, auxiliary_albedo
 from datagen.rendering.noisy_share import blended, noisy_share
 from datagen.rendering.prepared_scene import COARSE_CELLS, PreparedScene
@@ -164,6 +165,8 @@ class ViewJob:
         if self.budget is not None and self.denoiser is not None:
             halves = (self.halves[0].mean(), self.halves[1].mean())
             reflected = blended(reflected, noisy, noisy_share(halves, reflected, self.visible_emission))
+        share = restored_share(luminance(reflected), np.broadcast_to(sums.removed_mean(), noisy.shape[:2]))
+        reflected = (reflected * (1.0 + share[..., None])).astype(np.float32)
         beauty = reflected + self.visible_emission
         self._check_finite({"beauty": beauty})
         buffers = {**self.buffers, "beauty": np.minimum(beauty, HALF_MAX)}

@@ -22,6 +22,7 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for, luminance
 from datagen.foundation.errors import InputError
 from datagen.library import Library
+from datagen.rendering.clamped_light import missing_error
 from datagen.rendering.denoiser import fast_denoiser
 from datagen.rendering.error import relative_mse
 from datagen.rendering.renderer import SceneRenderer
@@ -151,15 +152,18 @@ def test_estimate_does_not_depend_on_brightness() -> None:
 
 
 def test_black_image_has_no_error_and_missing_light_counts() -> None:
-    black = np.zeros((4, 4, 3), np.float32)
+    black = np.zeros((32, 32, 3), np.float32)
     assert estimate_error((black, black), (black.copy(), black.copy()), black).rel_mse == 0.0
     nothing = (black[..., 0], black[..., 0])
     assert estimate_error((black, black), (black.copy(), black.copy()), black, nothing).rel_mse == 0.0
     white = np.ones_like(black)
-    lost = np.full((4, 4), 1.0 / 9.0)  # a tenth of the light
-    for removed, expected in (((lost, lost), 0.01), ((lost, 0 * lost), 0.0)):
+    lost = np.zeros((32, 32))
+    lost[16, 16] = 100.0  # a single firefly, whose light is not restored
+    for removed in ((lost, lost), (lost, 0 * lost)):
         estimate = estimate_error((white, white), (white.copy(), white.copy()), black, removed)
-        assert estimate.rel_mse == pytest.approx(expected * 0.81 / 0.82)
+        expected = missing_error(luminance(white), removed, exposure_for(white))
+        assert estimate.rel_mse == pytest.approx(expected)
+        assert (estimate.rel_mse > 0.01) == removed[1].any()
 
 
 def test_heavy_tailed_noise_does_not_meet_the_target() -> None:
@@ -416,9 +420,13 @@ def test_clamp_keeps_direct_light(budgeted: SceneRenderer) -> None:
     assert clamped.removed_share() > 0.1
 
 
-def test_clamp_is_relative_to_exposure_and_recorded(tmp_path: Path) -> None:
-    tight = make(tmp_path / "room", path_samples=16, firefly_clamp=0.5, denoise=False)
+def test_clamp_is_relative_to_exposure_recorded_and_restored(tmp_path: Path) -> None:
+    tight = make(tmp_path / "room", path_samples=16, firefly_clamp=0.5, denoise=False, keep_noisy=True)
     view = tight.render_view(1)
+    noisy, beauty = (float(luminance(view.buffers[name]).mean()) for name in ("beauty_noisy", "beauty"))
+    reflected = noisy - float(luminance(tight.view_job(1).visible_emission).mean())
+    removed = view.render.clamped_energy / (1.0 - view.render.clamped_energy) * reflected
+    assert beauty - noisy == pytest.approx(removed, rel=0.15)
     white = 1 / exposure_for(view.buffers["beauty"])
     assert view.render.firefly_clamp_radiance == pytest.approx(0.5 * white, rel=0.15)
     assert 0.001 < view.render.clamped_energy < 0.5

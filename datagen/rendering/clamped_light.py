@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: MIT
+"""Light removed by the firefly clamp: what can be restored, and the error due to the rest.
+
+Fireflies are paths of light that sampling hardly finds, such as caustics of a lamp in a mirror. Removed
+altogether, they would darken views by up to 5 %. Their light is therefore spread: the image is multiplied by
+1 plus the share of light removed around each pixel, in the narrowest neighbourhood with enough fireflies. If
+there are too few of them even in a wide one, the amount of light is unknown, and it is restored in part or
+not at all.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.rendering.error import EPSILON
+
+NARROW_PX = 2.0
+"""Standard deviation of the Gaussian over which dense fireflies, such as those of highlights, are spread."""
+WIDE = 1.0 / 8.0
+"""The same for scattered fireflies, relative to the root of the image's area."""
+COARSE_SIGMA_PX = 8.0
+"""Standard deviation in pixels of the smaller images on which wide Gaussians are computed."""
+MIN_DENSE, MIN_SCATTERED = 10.0, 3.0
+"""Numbers of equally bright clamped pixels in such neighbourhoods from which on light is restored."""
+
+
+def restored_share(level: NDArray[np.floating], removed: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Light to restore (H, W), relative to the luminance ``level`` (H, W) of the clamped image.
+
+    ``removed`` (H, W) is the luminance removed from the mean of all samples. Where its mean around a pixel is
+    m, with variance v, the part max(0, 1 - k v / m^2) of the pixel's light is spread over that neighbourhood,
+    and the rest is left to the wider one; k is the minimum number of fireflies.
+    """
+    share = np.zeros(removed.shape)
+    if not removed.any():
+        return share
+    unit = float(removed.max())  # of luminance; squares neither overflow nor vanish
+    level, left = np.asarray(level / unit, np.float64), np.asarray(removed / unit, np.float64)
+    for sigma, minimum in ((NARROW_PX, MIN_DENSE), (WIDE * math.sqrt(removed.size), MIN_SCATTERED)):
+        mean, variance = _smoothed(left, sigma), _variance(left, sigma)
+        certain = np.maximum(1.0 - minimum * variance / np.maximum(mean**2, 1e-300), 0.0)
+        share += _smoothed(certain * left, sigma) / np.maximum(_smoothed(level, sigma), 1e-300)
+        left = left * (1.0 - certain)
+    return share
+
+
+def _variance(removed: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+    """Variance (H, W) of the mean of independent fireflies ``removed`` (H, W) by a Gaussian.
+
+    It is the sum of their squares, weighted by the square of the Gaussian: a Gaussian narrower by the root of
+    2, divided by 4 pi sigma^2.
+    """
+    return _smoothed(removed**2, sigma, narrower=math.sqrt(2.0)) / (4.0 * math.pi * sigma**2)
+
+
+def _smoothed(image: NDArray[np.float64], sigma: float, narrower: float = 1.0) -> NDArray[np.float64]:
+    """Smooth an image (H, W) by a Gaussian of ``sigma / narrower`` pixels, truncated at 4 ``sigma``."""
+    import cv2
+    from scipy import ndimage
+
+    coarse = max(sigma / COARSE_SIGMA_PX, 1.0)  # side of the pixels of the smaller image
+    height, width = image.shape
+    size = (max(round(width / coarse), 1), max(round(height / coarse), 1))
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    radius = math.ceil(4.0 * sigma / coarse)
+    small = ndimage.gaussian_filter(small, sigma / narrower / coarse, radius=radius)
+    return cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def missing_error(
+    level: NDArray[np.floating], removed: tuple[NDArray[np.floating], NDArray[np.floating]], scale: float
+) -> float:
+    """relMSE due to removed light that is not restored.
+
+    ``level`` (H, W) is the luminance of the clamped image, ``scale`` its exposure, ``removed`` the luminance
+    (H, W) removed from each of two halves. The square of the missing share of light around each pixel is the
+    product of both halves' shares, whose independent noise cancels in the mean.
+    """
+    from scipy import ndimage
+
+    if not (removed[0].any() and removed[1].any()):
+        return 0.0
+    share = restored_share(level, 0.5 * (removed[0] + removed[1]))
+    kept, *lost = (ndimage.gaussian_filter(image, NARROW_PX) for image in (level, *removed))
+    light = np.maximum(kept + 0.5 * (lost[0] + lost[1]), 1e-300)  # prevents 0 / 0 in unlit areas
+    missing = [(half - share * kept) / light for half in lost]
+    weight = (scale * level) ** 2 / ((scale * level) ** 2 + EPSILON)
+    return max(float((weight * missing[0] * missing[1]).mean()), 0.0)
