@@ -23,24 +23,17 @@ EPSILON = 0.01
 """Bounds the weight of black pixels; in exposed images, it is the square of a tenth of white."""
 
 
-def relative_mse_map(
+def relative_mse(
     image: NDArray, reference: NDArray, other_reference: NDArray | None = None, *, exposed: bool = False
-) -> NDArray[np.float64]:
-    """relMSE (H, W) of each pixel of linear images (H, W, 3); may be negative with two references."""
+) -> float:
+    """relMSE of linear images (H, W, 3); may be negative with two references."""
     first = reference.astype(np.float64)
     second = first if other_reference is None else other_reference.astype(np.float64)
     mean = 0.5 * (first + second)
     scale = exposure_for(mean) if exposed else 1.0
     x = image.astype(np.float64)
     squared = (x - first) * (x - second) * scale**2
-    return (squared / ((mean * scale) ** 2 + EPSILON)).mean(axis=-1)
-
-
-def relative_mse(
-    image: NDArray, reference: NDArray, other_reference: NDArray | None = None, *, exposed: bool = False
-) -> float:
-    """Mean of :func:`relative_mse_map` over linear images (H, W, 3)."""
-    return float(relative_mse_map(image, reference, other_reference, exposed=exposed).mean())
+    return float((squared / ((mean * scale) ** 2 + EPSILON)).mean())
 
 
 def relative_mse_of_parts(
@@ -64,9 +57,10 @@ def relative_mse_of_parts(
         totals[i] += pairs[-1]
         totals[j] += pairs[-1]
     errors = np.mean(pairs, axis=0)
-    # Analysis of variance of a diallel: a pair is the sum of effects of its two references (3 degrees of
-    # freedom) and of an interaction (2), of variances s^2 and t^2; the mean of all pairs has s^2 + t^2 / 6.
+    # Analysis of variance of a diallel: each pair is the sum of effects of its two references, of variance
+    # s^2, and of an interaction, of variance t^2. The mean of all pairs has the variance s^2 + t^2 / 6.
     of_references = sum(np.square(total - 3.0 * errors) for total in totals) / 2.0
     of_interaction = sum(np.square(pair - errors) for pair in pairs) - of_references
-    variance = float((of_references / 3.0 / 2.0 - of_interaction / 2.0 / 3.0).sum())
+    per_reference, per_pair = of_references / 3.0, of_interaction / 2.0  # expectations 2 s^2 + t^2 and t^2
+    variance = float((per_reference / 2.0 - per_pair / 3.0).sum())
     return float(errors.mean()), math.sqrt(max(variance, 0.0)) / errors.size

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import RenderRecipe
-from datagen.rendering.denoiser import Denoiser, OidnDenoiser, make_denoiser
+from datagen.rendering.denoiser import Denoiser, OidnDenoiser, make_denoiser, oidn_quality
 from datagen.rendering.prepared_scene import PreparedScene
 from datagen.rendering.sample_budget import SampleBudget
 from datagen.rendering.scene_builder import AssetCaches
@@ -33,9 +33,8 @@ if TYPE_CHECKING:
 class SceneRenderer(PreparedScene):
     """Renders the views of one configuration.
 
-    Selects the recipe's Mitsuba variant. Default ``caches`` are those of the process. ``estimator`` denoises
-    the halves from which the error is estimated and defaults to the view's denoiser; ``is_enough`` may stop a
-    view early. Raises the errors of :class:`PreparedScene`.
+    Selects the recipe's Mitsuba variant. Default ``caches`` are those of the process. ``is_enough`` may stop
+    a view early. Raises the errors of :class:`PreparedScene`.
     """
 
     def __init__(
@@ -45,16 +44,16 @@ class SceneRenderer(PreparedScene):
         recipe: RenderRecipe,
         caches: AssetCaches | None = None,
         denoiser: Denoiser | None = None,
-        estimator: Denoiser | None = None,
         is_enough: IsEnough | None = None,
     ):
         start = time.perf_counter()
         super().__init__(configuration, library, recipe, caches)
-        denoiser = denoiser or (make_denoiser(self.variant) if recipe.denoise else None)
         budget = None
         if recipe.max_rel_mse is not None and recipe.max_path_samples is not None:
             budget = SampleBudget(recipe.max_rel_mse, recipe.max_path_samples)
-        self._finishing = Finishing(denoiser, estimator or denoiser, budget, is_enough)
+        if denoiser is None and recipe.denoise:
+            denoiser = make_denoiser(self.variant, oidn_quality(recipe.max_rel_mse))
+        self._finishing = Finishing(denoiser, budget, is_enough)
         self.seconds_to_build = time.perf_counter() - start
 
     @property
@@ -84,10 +83,8 @@ class SceneRenderer(PreparedScene):
             yield from interleaved(self.view_job(index).steps(pool) for index in indices)
 
     def close(self) -> None:
-        """Release the scene and the denoisers, but not the shared caches."""
-        finishing, self._finishing = self._finishing, Finishing(None, None, None, None)
-        denoisers = {id(denoiser): denoiser for denoiser in (finishing.denoiser, finishing.estimator)}
-        for denoiser in denoisers.values():
-            if isinstance(denoiser, OidnDenoiser):
-                denoiser.close()
+        """Release the scene and the denoiser, but not the shared caches."""
+        denoiser, self._finishing = self.denoiser, Finishing(None, None, None)
+        if isinstance(denoiser, OidnDenoiser):
+            denoiser.close()
         super().close()

@@ -67,20 +67,22 @@ IsEnough = Callable[[int, NDArray[np.floating], ErrorEstimate], bool]
 
 @dataclass(frozen=True)
 class Finishing:
-    """Denoisers and stopping criteria of views.
+    """Denoiser and stopping criteria of views.
 
-    ``denoiser`` is for images, ``estimator`` for the halves from which the error is estimated. If ``budget``
-    is None, the recipe's number of samples is used. ``is_enough`` may stop a view above its target error.
+    If ``budget`` is None, the recipe's number of samples is used. ``is_enough`` may stop a view above its
+    target error.
     """
 
     denoiser: Denoiser | None
-    estimator: Denoiser | None
     budget: SampleBudget | None
     is_enough: IsEnough | None
 
 
 class ViewJob:
     """Renders a view by accumulating samples, in two independent ``halves`` if there is a budget.
+
+    With a budget, the finished image is the mean of both denoised halves, whose error is estimated. Denoising
+    their mean as well would take half as long again, for 4 % less error.
 
     Raises :class:`InputError` if the configuration has no view ``index``.
     """
@@ -91,11 +93,12 @@ class ViewJob:
             expected = f"0 ... {len(configuration.cameras) - 1}"
             raise input_error(f"configuration {configuration.id}", "view", index, expected)
         self.scene, self.index = scene, index
-        self.denoiser, self.estimator = finishing.denoiser, finishing.estimator
+        self.denoiser = finishing.denoiser
         self.budget, self._stop_criterion = finishing.budget, finishing.is_enough
         self.seconds: dict[str, float] = {}
         self.halves = [PathSums(), PathSums()]
         self.estimate: ErrorEstimate | None = None
+        self._reflected: NDArray[np.float32] | None = None  # mean of the denoised halves
         self.is_enough = False
         self._guides: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
         with self._timed("buffers"):
@@ -139,20 +142,21 @@ class ViewJob:
         with self._timed("estimate"):
             a, b = (half.mean() for half in self.halves)
             self._check_finite({"beauty_noisy": a + b, **self.buffers})
-            clean_a, clean_b = (self.denoise(half, self.estimator) for half in (a, b))
-            if self.estimator is not None:
+            clean_a, clean_b = (self.denoise(half) for half in (a, b))
+            if self.denoiser is not None:
                 share = noisy_share((a, b), 0.5 * (clean_a + clean_b), self.visible_emission)
                 clean_a, clean_b = blended(clean_a, a, share), blended(clean_b, b, share)
             removed = (self.halves[0].removed_mean(), self.halves[1].removed_mean())
             estimate = estimate_error((a, b), (clean_a, clean_b), self.visible_emission, removed)
+            self._reflected = 0.5 * (clean_a + clean_b)
             if self._stop_criterion is not None:
-                image = 0.5 * (clean_a + clean_b) + self.visible_emission
+                image = self._reflected + self.visible_emission
                 self.is_enough = self._stop_criterion(self.index, image, estimate)
             self.estimate = estimate
         return estimate
 
     def finish(self) -> RenderedView:
-        """Denoise the mean of all samples so far, and return the view with its record.
+        """Return the view of all samples so far, with its record.
 
         Raises :class:`RenderError` if a pixel is NaN or Inf.
         """
@@ -161,10 +165,7 @@ class ViewJob:
         sums = self.halves[0] + self.halves[1]
         noisy = sums.mean()
         self._check_finite({"beauty_noisy": noisy, "lights": self.visible_emission, **self.buffers})
-        reflected = self.denoise(noisy, self.denoiser)
-        if self.budget is not None and self.denoiser is not None:
-            halves = (self.halves[0].mean(), self.halves[1].mean())
-            reflected = blended(reflected, noisy, noisy_share(halves, reflected, self.visible_emission))
+        reflected = self.denoise(noisy) if self._reflected is None else self._reflected
         share = restored_share(luminance(reflected), np.broadcast_to(sums.removed_mean(), noisy.shape[:2]))
         reflected = (reflected * (1.0 + share[..., None])).astype(np.float32)
         beauty = reflected + self.visible_emission
@@ -195,8 +196,9 @@ class ViewJob:
         self.seconds["denoise"] = time.perf_counter() - start
         return RenderedView(self.index, ordered, instances, materials, record, self.seconds)
 
-    def denoise(self, noisy: NDArray[np.float32], denoiser: Denoiser | None) -> NDArray[np.float32]:
-        """Denoise reflected light ``noisy`` (H, W, 3); return it unchanged if ``denoiser`` is None."""
+    def denoise(self, noisy: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Denoise reflected light ``noisy`` (H, W, 3); return it unchanged without a denoiser."""
+        denoiser = self.denoiser
         if denoiser is None:
             return noisy
         if self._guides is None:

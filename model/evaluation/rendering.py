@@ -18,7 +18,6 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view
 from datagen.foundation.progress import Advance, no_advance
 from datagen.library import Library
-from datagen.rendering.denoiser import fast_denoiser
 from datagen.rendering.error import relative_mse
 from model.evaluation.scenery import Scenery
 
@@ -113,10 +112,9 @@ def render_scenery(
     first = missing[0][0]
     seen = scenery.seen_by(cameras).with_seed(first.seed)
     done, total = 0, sum(len(names) for _, names in missing)
-    estimator = None if enough is None else fast_denoiser(render)
     with Library(seen.library) as library:
         decides = None if enough is None else enough.decides(cameras)
-        renderer = SceneRenderer(seen.configuration, library, render, estimator=estimator, is_enough=decides)
+        renderer = SceneRenderer(seen.configuration, library, render, is_enough=decides)
         try:
             for rendering, names in missing:
                 rendering.folder.mkdir(parents=True, exist_ok=True)

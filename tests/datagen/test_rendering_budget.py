@@ -23,7 +23,6 @@ from datagen.foundation.color import exposure_for, luminance
 from datagen.foundation.errors import InputError
 from datagen.library import Library
 from datagen.rendering.clamped_light import missing_error
-from datagen.rendering.denoiser import fast_denoiser
 from datagen.rendering.error import relative_mse
 from datagen.rendering.renderer import SceneRenderer
 from datagen.rendering.sample_budget import (
@@ -300,7 +299,7 @@ def test_budgeted_views_do_not_depend_on_order_or_other_views(budgeted: SceneRen
 
 
 def test_a_view_with_enough_samples_stops_and_is_finished(tmp_path: Path) -> None:
-    """A view stops after one pass, far above its error target; only the estimate uses the fast denoiser."""
+    """A view stops after one pass, far above its error target."""
     asked: list[tuple[int, tuple[int, ...], float]] = []
 
     def is_enough(index: int, image: NDArray, estimate: ErrorEstimate) -> bool:
@@ -310,9 +309,7 @@ def test_a_view_with_enough_samples_stops_and_is_finished(tmp_path: Path) -> Non
     whole = make(tmp_path / "room", max_rel_mse=1e-4, max_path_samples=256)
     recipe, library = whole.recipe, Library([tmp_path / "room"])
     plain = render(path_samples=FIRST_SAMPLES, auxiliary_samples=16)
-    stops = SceneRenderer(
-        whole.configuration, library, recipe, estimator=fast_denoiser(recipe), is_enough=is_enough
-    )
+    stops = SceneRenderer(whole.configuration, library, recipe, is_enough=is_enough)
     view = stops.render_view(1)
     assert [row[:2] for row in asked] == [(1, (32, 48, 3))] and asked[0][2] > 1e-4
     assert view.render.path_samples == FIRST_SAMPLES and "high" in view.render.denoiser
@@ -320,6 +317,16 @@ def test_a_view_with_enough_samples_stops_and_is_finished(tmp_path: Path) -> Non
     errors = [relative_mse(v.buffers["beauty"], images[1].buffers["beauty"]) for v in (view, images[0])]
     assert errors[0] == pytest.approx(errors[1], rel=0.5)
     stops.close()
+
+
+@pytest.mark.parametrize(("fields", "expected"), [
+    ({"quality": "standard"}, "balanced"), ({"max_rel_mse": 0.001}, "high"), ({"path_samples": 4}, "high"),
+])  # fmt: skip
+def test_denoiser_is_chosen_by_the_error_target(
+    tmp_path: Path, fields: dict[str, Any], expected: str
+) -> None:
+    room = make(tmp_path / "room", **fields)
+    assert room.denoiser is not None and room.denoiser.name.endswith(expected)
 
 
 def test_another_seed_equals_a_separate_renderer(tmp_path: Path) -> None:

@@ -109,14 +109,15 @@ from datagen.formats.base import parse_model
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import RenderRecipe
 from datagen.library import Library
-from datagen.rendering.denoiser import OidnDenoiser
+from datagen.rendering.denoiser import OidnDenoiser, oidn_quality
 from datagen.rendering.renderer import SceneRenderer
 from tests.datagen.test_rendering_renderer import digest
+recipe = parse_model(RenderRecipe, json.loads(recipe), "argument")
 renderer = SceneRenderer(
     parse_model(Configuration, json.loads(configuration), "argument"),
     Library([Path(folder)]),
-    parse_model(RenderRecipe, json.loads(recipe), "argument"),
-    denoiser=OidnDenoiser(num_threads=1),
+    recipe,
+    denoiser=OidnDenoiser(oidn_quality(recipe.max_rel_mse), num_threads=1),
 )
 views = renderer.render_views([2, 0])
 print(json.dumps({view.index: [digest(view), view.render.model_dump_json()] for view in views}))
