@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 OPTIX_WEIGHTS = Path("/usr/share/nvidia/nvoptix.bin")
 """Weights of the OptiX denoiser on Linux, part of the NVIDIA driver but often missing in containers."""
-MIN_BALANCED_ERROR = 0.002
-"""Minimum target relMSE for OIDN's quality ``balanced``."""
 
 
 class Denoiser(Protocol):
@@ -159,15 +157,6 @@ def uses_optix(variant: str) -> bool:
     return variant.startswith("cuda") and (sys.platform == "win32" or OPTIX_WEIGHTS.is_file())
 
 
-def oidn_quality(max_rel_mse: float | None) -> str:
-    """OIDN's quality for a target error, or for a fixed number of samples if that is None.
-
-    With a target, views are denoised at least twice. ``balanced`` takes 0.4 times as long as ``high`` for 7 %
-    more error, which a few samples make up, but not the hundreds that low targets need.
-    """
-    return "balanced" if max_rel_mse is not None and max_rel_mse >= MIN_BALANCED_ERROR else "high"
-
-
-def make_denoiser(variant: str, quality: str = "high") -> OidnDenoiser | OptixDenoiser:
-    """Create an OptiX denoiser if it works with the Mitsuba variant, else OIDN of ``quality``."""
-    return OptixDenoiser() if uses_optix(variant) else OidnDenoiser(quality)
+def make_denoiser(variant: str) -> OidnDenoiser | OptixDenoiser:
+    """Create an OptiX denoiser if it works with the Mitsuba variant, else OIDN."""
+    return OptixDenoiser() if uses_optix(variant) else OidnDenoiser()

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import RenderRecipe
-from datagen.rendering.denoiser import Denoiser, OidnDenoiser, make_denoiser, oidn_quality
+from datagen.rendering.denoiser import Denoiser, OidnDenoiser, make_denoiser
 from datagen.rendering.prepared_scene import PreparedScene
 from datagen.rendering.sample_budget import SampleBudget
 from datagen.rendering.scene_builder import AssetCaches
@@ -33,8 +33,9 @@ if TYPE_CHECKING:
 class SceneRenderer(PreparedScene):
     """Renders the views of one configuration.
 
-    Selects the recipe's Mitsuba variant. Default ``caches`` are those of the process. ``is_enough`` may stop
-    a view early. Raises the errors of :class:`PreparedScene`.
+    Selects the recipe's Mitsuba variant. Default ``caches`` are those of the process. A given ``denoiser`` is
+    the only one (see :class:`Finishing`). ``is_enough`` may stop a view early. Raises the errors of
+    :class:`PreparedScene`.
     """
 
     def __init__(
@@ -51,14 +52,17 @@ class SceneRenderer(PreparedScene):
         budget = None
         if recipe.max_rel_mse is not None and recipe.max_path_samples is not None:
             budget = SampleBudget(recipe.max_rel_mse, recipe.max_path_samples)
+        quick_denoiser = None
         if denoiser is None and recipe.denoise:
-            denoiser = make_denoiser(self.variant, oidn_quality(recipe.max_rel_mse))
-        self._finishing = Finishing(denoiser, budget, is_enough)
+            denoiser = make_denoiser(self.variant)
+            if budget is not None and isinstance(denoiser, OidnDenoiser):
+                quick_denoiser = OidnDenoiser("balanced")
+        self._finishing = Finishing(denoiser, quick_denoiser, budget, is_enough)
         self.seconds_to_build = time.perf_counter() - start
 
     @property
     def denoiser(self) -> Denoiser | None:
-        """Denoiser of finished views; None if they are not denoised."""
+        """Denoiser of views that need more than the first pass; None if views are not denoised."""
         return self._finishing.denoiser
 
     def view_job(self, index: int) -> ViewJob:
@@ -83,8 +87,9 @@ class SceneRenderer(PreparedScene):
             yield from interleaved(self.view_job(index).steps(pool) for index in indices)
 
     def close(self) -> None:
-        """Release the scene and the denoiser, but not the shared caches."""
-        denoiser, self._finishing = self.denoiser, Finishing(None, None, None)
-        if isinstance(denoiser, OidnDenoiser):
-            denoiser.close()
+        """Release the scene and the denoisers, but not the shared caches."""
+        finishing, self._finishing = self._finishing, Finishing(None, None, None, None)
+        for denoiser in (finishing.denoiser, finishing.quick_denoiser):
+            if isinstance(denoiser, OidnDenoiser):
+                denoiser.close()
         super().close()

@@ -67,13 +67,14 @@ IsEnough = Callable[[int, NDArray[np.floating], ErrorEstimate], bool]
 
 @dataclass(frozen=True)
 class Finishing:
-    """Denoiser and stopping criteria of views.
+    """Denoisers and stopping criteria of views.
 
     If ``budget`` is None, the recipe's number of samples is used. ``is_enough`` may stop a view above its
-    target error.
+    target error. ``quick_denoiser`` is for views that the first pass finishes even with its larger error.
     """
 
     denoiser: Denoiser | None
+    quick_denoiser: Denoiser | None
     budget: SampleBudget | None
     is_enough: IsEnough | None
 
@@ -93,7 +94,7 @@ class ViewJob:
             expected = f"0 ... {len(configuration.cameras) - 1}"
             raise input_error(f"configuration {configuration.id}", "view", index, expected)
         self.scene, self.index = scene, index
-        self.denoiser = finishing.denoiser
+        self.denoiser, self._quick_denoiser = finishing.denoiser, finishing.quick_denoiser
         self.budget, self._stop_criterion = finishing.budget, finishing.is_enough
         self.seconds: dict[str, float] = {}
         self.halves = [PathSums(), PathSums()]
@@ -142,18 +143,27 @@ class ViewJob:
         with self._timed("estimate"):
             a, b = (half.mean() for half in self.halves)
             self._check_finite({"beauty_noisy": a + b, **self.buffers})
-            clean_a, clean_b = (self.denoise(half) for half in (a, b))
-            if self.denoiser is not None:
-                share = noisy_share((a, b), 0.5 * (clean_a + clean_b), self.visible_emission)
-                clean_a, clean_b = blended(clean_a, a, share), blended(clean_b, b, share)
-            removed = (self.halves[0].removed_mean(), self.halves[1].removed_mean())
-            estimate = estimate_error((a, b), (clean_a, clean_b), self.visible_emission, removed)
-            self._reflected = 0.5 * (clean_a + clean_b)
-            if self._stop_criterion is not None:
-                image = self._reflected + self.visible_emission
-                self.is_enough = self._stop_criterion(self.index, image, estimate)
-            self.estimate = estimate
-        return estimate
+            if self._quick_denoiser is not None:
+                estimate = self._estimate_with(self._quick_denoiser, a, b)
+                if self.is_enough or (self.budget is not None and self.budget.is_met(estimate)):
+                    return estimate
+                self._quick_denoiser = None
+            return self._estimate_with(self.denoiser, a, b)
+
+    def _estimate_with(
+        self, denoiser: Denoiser | None, a: NDArray[np.float32], b: NDArray[np.float32]
+    ) -> ErrorEstimate:
+        clean_a, clean_b = (self.denoise(half, denoiser) for half in (a, b))
+        if denoiser is not None:
+            share = noisy_share((a, b), 0.5 * (clean_a + clean_b), self.visible_emission)
+            clean_a, clean_b = blended(clean_a, a, share), blended(clean_b, b, share)
+        removed = (self.halves[0].removed_mean(), self.halves[1].removed_mean())
+        self.estimate = estimate_error((a, b), (clean_a, clean_b), self.visible_emission, removed)
+        self._reflected = 0.5 * (clean_a + clean_b)
+        if self._stop_criterion is not None:
+            image = self._reflected + self.visible_emission
+            self.is_enough = self._stop_criterion(self.index, image, self.estimate)
+        return self.estimate
 
     def finish(self) -> RenderedView:
         """Return the view of all samples so far, with its record.
@@ -165,7 +175,8 @@ class ViewJob:
         sums = self.halves[0] + self.halves[1]
         noisy = sums.mean()
         self._check_finite({"beauty_noisy": noisy, "lights": self.visible_emission, **self.buffers})
-        reflected = self.denoise(noisy) if self._reflected is None else self._reflected
+        denoiser = self._quick_denoiser if self._quick_denoiser is not None else self.denoiser
+        reflected = self.denoise(noisy, denoiser) if self._reflected is None else self._reflected
         share = restored_share(luminance(reflected), np.broadcast_to(sums.removed_mean(), noisy.shape[:2]))
         reflected = (reflected * (1.0 + share[..., None])).astype(np.float32)
         beauty = reflected + self.visible_emission
@@ -182,7 +193,7 @@ class ViewJob:
             auxiliary_samples=recipe.auxiliary_samples,
             max_depth=self.scene.max_depth,
             russian_roulette_depth=recipe.russian_roulette_depth,
-            denoiser=self.denoiser.name if self.denoiser is not None else "none",
+            denoiser=denoiser.name if denoiser is not None else "none",
             clipped_pixels=int(np.count_nonzero((beauty > HALF_MAX).any(axis=-1))),
             **self._quality_record(sums),
         )
@@ -196,9 +207,8 @@ class ViewJob:
         self.seconds["denoise"] = time.perf_counter() - start
         return RenderedView(self.index, ordered, instances, materials, record, self.seconds)
 
-    def denoise(self, noisy: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Denoise reflected light ``noisy`` (H, W, 3); return it unchanged without a denoiser."""
-        denoiser = self.denoiser
+    def denoise(self, noisy: NDArray[np.float32], denoiser: Denoiser | None) -> NDArray[np.float32]:
+        """Denoise reflected light ``noisy`` (H, W, 3); return it unchanged if ``denoiser`` is None."""
         if denoiser is None:
             return noisy
         if self._guides is None:

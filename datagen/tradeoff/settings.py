@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from datagen.formats.recipe import DEFAULT_MAX_DEPTH, QUALITIES, RenderRecipe
 from datagen.foundation.errors import Problem, raise_problems
 from datagen.foundation.exr import COMPRESSIONS
-from datagen.rendering.denoiser import oidn_quality, uses_optix
+from datagen.rendering.denoiser import uses_optix
 
 DenoiserMode = Literal["none", "fast", "balanced", "high", "unguided", "optix"]
 """No denoiser, three qualities of OIDN with guides, OIDN's ``high`` without guides, or OptiX."""
@@ -112,14 +112,7 @@ _LIMITS: dict[str, tuple[float, float]] = {
 
 def base_setting(variant: str) -> Setting:
     """Base point of the sweeps, with the default denoiser of the Mitsuba ``variant``."""
-    return Setting(variant=variant, denoiser=_denoiser(variant))
-
-
-def _denoiser(variant: str, quality: str = "") -> str:
-    """Default denoiser of a Mitsuba variant, and of a named quality or, if '', a number of samples."""
-    if uses_optix(variant):
-        return "optix"
-    return oidn_quality(RenderRecipe.model_validate({"quality": quality}).max_rel_mse if quality else None)
+    return Setting(variant=variant, denoiser="optix" if uses_optix(variant) else "high")
 
 
 def planned_settings(base: Setting, sweeps: tuple[str, ...], with_factorial: bool) -> list[Setting]:
@@ -139,9 +132,8 @@ def planned_settings(base: Setting, sweeps: tuple[str, ...], with_factorial: boo
         for value in SWEEPS[name] if not listed else listed.split(","):
             try:
                 changed = replace(base, **{name: _checked(name, value)})
-                if name in ("variant", "quality"):  # both have their own denoisers
-                    denoiser = _denoiser(changed.variant, changed.quality)
-                    changed = replace(changed, denoiser=denoiser)
+                if name == "variant":  # each variant has its own denoiser
+                    changed = replace(changed, denoiser=base_setting(changed.variant).denoiser)
                 changed.recipe()
             except ValueError as error:
                 problems.append(Problem("--sweep", name, repr(value), _reason(error), "correct the value"))

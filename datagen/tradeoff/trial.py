@@ -147,7 +147,7 @@ def measure(configuration: Configuration, library: Library, reference: Reference
 
 def _denoiser(setting: Setting) -> OidnDenoiser | None:
     """Create the OIDN denoiser of a setting; None keeps the renderer's default."""
-    if setting.denoiser in ("none", "optix"):
+    if setting.denoiser in ("none", "optix", "high"):
         return None
     is_guided = setting.denoiser != "unguided"
     return OidnDenoiser(quality=setting.denoiser if is_guided else "high", is_guided=is_guided)

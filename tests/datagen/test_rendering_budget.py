@@ -312,21 +312,19 @@ def test_a_view_with_enough_samples_stops_and_is_finished(tmp_path: Path) -> Non
     stops = SceneRenderer(whole.configuration, library, recipe, is_enough=is_enough)
     view = stops.render_view(1)
     assert [row[:2] for row in asked] == [(1, (32, 48, 3))] and asked[0][2] > 1e-4
-    assert view.render.path_samples == FIRST_SAMPLES and "high" in view.render.denoiser
+    assert view.render.path_samples == FIRST_SAMPLES
     images = [SceneRenderer(whole.configuration, library, plain).render_view(1), whole.render_view(1)]
     errors = [relative_mse(v.buffers["beauty"], images[1].buffers["beauty"]) for v in (view, images[0])]
     assert errors[0] == pytest.approx(errors[1], rel=0.5)
     stops.close()
 
 
-@pytest.mark.parametrize(("fields", "expected"), [
-    ({"quality": "standard"}, "balanced"), ({"max_rel_mse": 0.001}, "high"), ({"path_samples": 4}, "high"),
-])  # fmt: skip
-def test_denoiser_is_chosen_by_the_error_target(
-    tmp_path: Path, fields: dict[str, Any], expected: str
-) -> None:
-    room = make(tmp_path / "room", **fields)
-    assert room.denoiser is not None and room.denoiser.name.endswith(expected)
+@pytest.mark.parametrize(("target", "expected"), [(1.0, "balanced"), (1e-4, "high")])
+def test_only_views_of_one_pass_are_denoised_quickly(tmp_path: Path, target: float, expected: str) -> None:
+    room = make(tmp_path / "room", max_rel_mse=target, max_path_samples=16)
+    record = room.render_view(0).render
+    assert record.denoiser.endswith(expected)
+    assert record.path_samples == (FIRST_SAMPLES if expected == "balanced" else 16)
 
 
 def test_another_seed_equals_a_separate_renderer(tmp_path: Path) -> None:

@@ -100,7 +100,7 @@ def test_means_are_shrunk_towards_their_surroundings() -> None:
     def means(*points: list[float]) -> tuple[NDArray, NDArray]:
         where = mi.Point3f(np.array(points, np.float32).T)
         record = cache.record(where, mi.Vector3f(0, 0, 1), mi.Bool(True))
-        value, is_known = cache.irradiance(record, mi.Bool(True))
+        value, is_known = cache.irradiance(record, mi.Bool(False), mi.Bool(True))
         return np.array(value).T, np.array(is_known)
 
     assert not means(places[0])[1].any()
@@ -119,6 +119,29 @@ def test_means_are_shrunk_towards_their_surroundings() -> None:
     assert value[0] == pytest.approx([10] * 3, rel=0.02)
     assert value[1] == pytest.approx([10 * PRIOR_SAMPLES / (1 + PRIOR_SAMPLES)] * 3, rel=0.02)
     assert value[2] == pytest.approx([7] * 3)
+
+
+def test_irradiance_of_opposite_surfaces_in_one_cube_is_unknown() -> None:
+    import mitsuba as mi
+
+    from datagen.rendering.transport.irradiance_cache import IrradianceCache, SurfaceCells
+
+    cells = SurfaceCells(box_points())
+    cache = IrradianceCache(cells)
+    places, normals = [[0.0, 0.1, 0.1], [0.0, 0.2, 0.1]], [(0, 0, 1), (0, 0, -1), (0, 1, 0)]
+    top, bottom, side = (cells_at(cells, places, normal)[0] for normal in normals)
+
+    def are_known(is_last: bool = False) -> list[list[bool]]:
+        where, last, active = mi.Point3f(np.array(places, np.float32).T), mi.Bool(is_last), mi.Bool(True)
+        records = [cache.record(where, mi.Vector3f(*normal), active) for normal in normals]
+        return [np.array(cache.irradiance(record, last, active)[1]).tolist() for record in records]
+
+    cache.add(np.concatenate([top, side]), np.ones((4, 3)))
+    assert are_known() == [[True, True], [False, False], [True, True]]
+    cache.add(bottom[:1], np.ones((1, 3)))
+    cache.finish()
+    assert are_known() == [[False, True], [False, False], [True, True]]
+    assert are_known(is_last=True) == [[True, True], [True, False], [True, True]]
 
 
 def irradiance(room: SceneRenderer) -> NDArray[np.float32]:

@@ -21,6 +21,7 @@ from datagen.foundation.buffers import BUFFERS, RENDERED_BUFFERS
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import to_storage
+from datagen.library import Library
 from datagen.rendering import denoiser
 from datagen.rendering.denoiser import OidnDenoiser, auxiliary_albedo, make_denoiser
 from datagen.rendering.prepared_scene import view_seed
@@ -109,15 +110,14 @@ from datagen.formats.base import parse_model
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import RenderRecipe
 from datagen.library import Library
-from datagen.rendering.denoiser import OidnDenoiser, oidn_quality
+from datagen.rendering.denoiser import OidnDenoiser
 from datagen.rendering.renderer import SceneRenderer
 from tests.datagen.test_rendering_renderer import digest
-recipe = parse_model(RenderRecipe, json.loads(recipe), "argument")
 renderer = SceneRenderer(
     parse_model(Configuration, json.loads(configuration), "argument"),
     Library([Path(folder)]),
-    recipe,
-    denoiser=OidnDenoiser(oidn_quality(recipe.max_rel_mse), num_threads=1),
+    parse_model(RenderRecipe, json.loads(recipe), "argument"),
+    denoiser=OidnDenoiser(num_threads=1),
 )
 views = renderer.render_views([2, 0])
 print(json.dumps({view.index: [digest(view), view.render.model_dump_json()] for view in views}))
@@ -128,7 +128,8 @@ print(json.dumps({view.index: [digest(view), view.render.model_dump_json()] for 
 def test_another_process_with_one_thread_makes_the_same_bytes(tmp_path: Path, budget: str) -> None:
     error = RenderRecipe(max_rel_mse=0.01, max_path_samples=64, firefly_clamp=30, auxiliary_samples=16)
     recipe = RECIPE if budget == "samples" else error
-    rendered = renderer(tmp_path, box_room(), CAMERAS, recipe, lights=LIGHTS, objects=OBJECTS)
+    made = renderer(tmp_path, box_room(), CAMERAS, recipe, lights=LIGHTS, objects=OBJECTS)
+    rendered = SceneRenderer(made.configuration, Library([tmp_path]), recipe, denoiser=OidnDenoiser())
     models = (rendered.configuration, recipe)
     arguments = [str(tmp_path), *(model.model_dump_json() for model in models), rendered.variant]
     result = subprocess.run(

@@ -36,6 +36,8 @@ scenes, memory bounds both."""
 BRICK = 8
 """Number of cubes along each axis of a brick."""
 CELLS_PER_BRICK = 6 * BRICK**3
+_UNKNOWN, _THIN, _UNIFORM = 0.0, 1.0, 2.0
+"""States of records: without irradiance, of cells with opposite surfaces, and of all others."""
 MAX_BRICKS, MAX_GRID = 1 << 12, 1 << 22
 """Maximum number of bricks, and of bricks and gaps in the grid of all."""
 
@@ -113,7 +115,9 @@ def copied(values: NDArray[Any]) -> Any:
 class IrradianceCache:
     """Irradiance by cell, as sums of samples and as means for kernels.
 
-    Each cell with samples has a record, numbered from 1; all other cells share record 0. ``light_weights``
+    Each cell with samples has a record, numbered from 1; all other cells share record 0. Irradiance varies
+    strongly within *thin* cells, which contain opposite surfaces, such as blinds, boards and gaps; paths do
+    not end there. ``light_weights``
     (records + 1, T) are the weights of the light sampler's techniques, valid after :meth:`finish`: square
     roots of the second moments of their contributions.
     """
@@ -171,19 +175,29 @@ class IrradianceCache:
         self.light_weights = np.sqrt(means[:, 3:])
 
     def _upload(self, means: NDArray[np.float64]) -> None:
-        is_known = np.arange(len(means)) > 0
+        state = np.concatenate([[_UNKNOWN], np.where(self._is_thin(), _THIN, _UNIFORM)])
         self.records = mi.UInt32(self._record_of_cell)
-        self.means = copied(np.column_stack([means, is_known]).ravel())
+        self.means = copied(np.column_stack([means, state]).ravel())
+
+    def _is_thin(self) -> NDArray[np.bool_]:
+        """Mask (records,) of thin cells."""
+        orientation, cube = self.cells.cubes(self.cell_of_record[1:])
+        place = 6 * np.ravel_multi_index(tuple(cube.T), self.cells.shape)
+        return np.isin(place + (orientation ^ 1), place + orientation)
 
     def record(self, point: Array, normal: Array, active: Array) -> Array:
         """Record number of a surface point and its normal; 0 for none."""
         cell, is_inside = self.cells.index(point, normal, active)
         return dr.gather(mi.UInt32, self.records, cell, is_inside)
 
-    def irradiance(self, record: Array, active: Array) -> tuple[Any, Any]:
-        """Irradiance (Color3f) of a record, and whether it is known."""
+    def irradiance(self, record: Array, is_last: Array, active: Array) -> tuple[Any, Any]:
+        """Irradiance (Color3f) of a record, and whether a path may end there.
+
+        It may do so in thin cells only if it ``is_last``, where it would be cut off otherwise.
+        """
         found: Any = dr.gather(mi.Vector4f, self.means, record, active)
-        return mi.Color3f(found.x, found.y, found.z), active & (found.w > 0.0)
+        allowed = (found.w == _UNIFORM) | (is_last & (found.w == _THIN))
+        return mi.Color3f(found.x, found.y, found.z), active & allowed
 
     def mean_radiance(
         self, si: Any, direction: Array, record: Array, spread_m: Array, sample: Array, active: Array
@@ -195,11 +209,12 @@ class IrradianceCache:
         """
         normal = facing_normal(si, direction)
         is_wide = active & (spread_m > MIN_SPREAD * self.cells.side)
-        here, is_known = self.irradiance(record, is_wide)
+        is_last = dr.isinf(spread_m)
+        here, is_known = self.irradiance(record, is_last, is_wide)
         frame = mi.Frame3f(normal)
         shift = (sample - 0.5) * self.cells.side
         other = self.record(si.p + frame.s * shift.x + frame.t * shift.y, normal, is_known)
-        jittered, is_jittered_known = self.irradiance(other, is_known)
+        jittered, is_jittered_known = self.irradiance(other, is_last, is_known)
         return INVERSE_PI * dr.select(is_jittered_known, jittered, here), is_known
 
 

@@ -190,14 +190,15 @@ def _walk(
         # ---- emission, and diffuse reflection of known irradiance -----------------------------------------
         emitted, weight = emitters.emission(si, walk, arrives, arrives)
         normal = facing_normal(si, walk.ray.d)
-        known, is_known = cache.irradiance(cache.record(si.p, normal, arrives & hits), arrives & hits)
-        is_known &= is_warm | (walk.depth > WARM_UP_BOUNCES)
+        is_last = walk.depth > WARM_UP_BOUNCES
+        record = cache.record(si.p, normal, arrives & hits)
+        known, is_known = cache.irradiance(record, is_last, arrives & hits & (is_warm | is_last))
         diffuse = channels.diffuse_reflectance()
         arriving = emitted * weight + dr.select(is_known, INVERSE_PI * diffuse * known, 0.0)
 
         # ---- Russian roulette beyond the recorded vertices -------------------------------------------------
         # A path continues until its irradiance is known; assuming 0 adds bias.
-        bounces = arrives & hits & (walk.depth <= WARM_UP_BOUNCES)
+        bounces = arrives & hits & ~is_last
         specular = channels.fresnel(si.wi)
         reflectance = specular + dr.select(is_known, 0.0, diffuse)
         is_recorded = walk.depth <= BOUNCES
