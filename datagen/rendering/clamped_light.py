@@ -42,7 +42,8 @@ def restored_share(level: NDArray[np.floating], removed: NDArray[np.floating]) -
     for sigma, minimum in ((NARROW_PX, MIN_DENSE), (WIDE * math.sqrt(removed.size), MIN_SCATTERED)):
         mean, variance = _smoothed(left, sigma), _variance(left, sigma)
         certain = np.maximum(1.0 - minimum * variance / np.maximum(mean**2, 1e-300), 0.0)
-        share += _smoothed(certain * left, sigma) / np.maximum(_smoothed(level, sigma), 1e-300)
+        kept = _smoothed(level, sigma)
+        share += np.divide(_smoothed(certain * left, sigma), kept, out=np.zeros_like(kept), where=kept > 0.0)
         left = left * (1.0 - certain)
     return share
 

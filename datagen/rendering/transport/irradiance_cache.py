@@ -117,9 +117,8 @@ class IrradianceCache:
 
     Each cell with samples has a record, numbered from 1; all other cells share record 0. Irradiance varies
     strongly within *thin* cells, which contain opposite surfaces, such as blinds, boards and gaps; paths do
-    not end there. ``light_weights``
-    (records + 1, T) are the weights of the light sampler's techniques, valid after :meth:`finish`: square
-    roots of the second moments of their contributions.
+    not end there. ``light_weights`` (records + 1, T) are the weights of the light sampler's techniques, valid
+    after :meth:`finish`: square roots of the second moments of their contributions.
     """
 
     def __init__(self, cells: SurfaceCells, num_techniques: int = 0):
