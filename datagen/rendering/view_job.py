@@ -173,10 +173,11 @@ class ViewJob:
         sums = self.halves[0] + self.halves[1]
         noisy = sums.mean()
         self._check_finite({"beauty_noisy": noisy, "lights": self.visible_emission, **self.buffers})
+        denoiser = self.denoiser if self._quick_denoiser is None else self._quick_denoiser
         if self._quick_denoiser is not None and self._reflected is not None:
-            denoiser, reflected = self._quick_denoiser, self._reflected
+            reflected = self._reflected
         else:
-            denoiser, reflected = self.denoiser, self.denoise(noisy, self.denoiser)
+            reflected = self.denoise(noisy, denoiser)
             if self.budget is not None and denoiser is not None:
                 halves = (self.halves[0].mean(), self.halves[1].mean())
                 reflected = blended(reflected, noisy, noisy_share(halves, reflected, self.visible_emission))
