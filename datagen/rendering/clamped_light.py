@@ -80,12 +80,10 @@ def missing_error(
     (H, W) removed from each of two halves. The square of the missing share of light around each pixel is the
     product of both halves' shares, whose independent noise cancels in the mean.
     """
-    from scipy import ndimage
-
     if not (removed[0].any() and removed[1].any()):
         return 0.0
     share = restored_share(level, 0.5 * (removed[0] + removed[1]))
-    kept, *lost = (ndimage.gaussian_filter(image, NARROW_PX) for image in (level, *removed))
+    kept, *lost = (_smoothed(np.asarray(image, np.float64), NARROW_PX) for image in (level, *removed))
     light = np.maximum(kept + 0.5 * (lost[0] + lost[1]), 1e-300)  # prevents 0 / 0 in unlit areas
     missing = [(half - share * kept) / light for half in lost]
     weight = (scale * level) ** 2 / ((scale * level) ** 2 + EPSILON)

@@ -329,7 +329,7 @@ class PathTracer:
                 record = cache.record(si.p, facing_normal(si, walk.ray.d), active_next & is_seen)
                 is_last = walk.depth + 2 >= self.max_depth  # the cache includes light of longer paths
                 cached, is_cached = cache.mean_radiance(
-                    si, walk.ray.d, record, dr.select(is_last, np.inf, spread_m), sampler.next_2d(), returns
+                    si, walk.ray.d, record, spread_m, is_last, sampler.next_2d(), returns
                 )
                 reflected = channels.opacity * channels.diffuse_reflectance() * cached
                 indirect += dr.select(is_cached, throughput * reflected, 0.0)

@@ -199,16 +199,23 @@ class IrradianceCache:
         return mi.Color3f(found.x, found.y, found.z), active & allowed
 
     def mean_radiance(
-        self, si: Any, direction: Array, record: Array, spread_m: Array, sample: Array, active: Array
+        self,
+        si: Any,
+        direction: Array,
+        record: Array,
+        spread_m: Array,
+        is_last: Array,
+        sample: Array,
+        active: Array,
     ) -> tuple[Any, Any]:
         """Mean incident radiance E / pi at a hit, and whether a path of spread ``spread_m`` may end there.
 
-        The lookup is jittered by up to half a cell, by ``sample`` in [0, 1)^2, to blend neighbouring cells in
-        the mean; if the jittered cell has no record, ``record``, that of the hit, is used.
+        Paths whose last vertex this is (``is_last``) may end wherever E is known. The lookup is jittered by
+        up to half a cell, by ``sample`` in [0, 1)^2, to blend neighbouring cells in the mean; if the jittered
+        cell has no record, ``record``, that of the hit, is used.
         """
         normal = facing_normal(si, direction)
-        is_wide = active & (spread_m > MIN_SPREAD * self.cells.side)
-        is_last = dr.isinf(spread_m)
+        is_wide = active & (is_last | (spread_m > MIN_SPREAD * self.cells.side))
         here, is_known = self.irradiance(record, is_last, is_wide)
         frame = mi.Frame3f(normal)
         shift = (sample - 0.5) * self.cells.side
