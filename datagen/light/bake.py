@@ -24,6 +24,7 @@ from datagen.light.bright_guide import BrightGuide, bright_rectangles
 from datagen.light.emitters import EmitterSampler
 from datagen.light.radiance_field import (
     MIN_COSINE,
+    End,
     Met,
     RadianceField,
     lobe_pdf,
@@ -175,13 +176,29 @@ class Baker:
         field without metals.
         """
         import drjit as dr
-        import mitsuba as mi
 
         end = self.field.end_of(ray, active)
         if self.field.metals is None:
             return end.met
         assert sample is not None
         is_metal, s, alpha = self.field.metal_at(end)
+        # a branch, since few rays hit metal
+        radiance, is_photographed = dr.if_stmt(
+            (),
+            is_metal,
+            lambda: self._reflected(ray, end, is_metal, s, alpha, sample),
+            lambda: (end.met.radiance, end.met.is_photographed),
+            label="reflect_at_metal",
+        )
+        return end.met._replace(radiance=radiance, is_photographed=is_photographed)
+
+    def _reflected(
+        self, ray: Any, end: End, is_metal: Any, s: Any, alpha: Any, sample: MetalSample
+    ) -> tuple[Any, Any]:
+        """Radiance of ``ray``, reflected at the metal of its ``end``, and whether it is photographed."""
+        import drjit as dr
+        import mitsuba as mi
+
         frame = mi.Frame3f(end.normal)
         wi = frame.to_local(-ray.d)
         wi.z = dr.maximum(wi.z, MIN_COSINE)
@@ -222,7 +239,7 @@ class Baker:
         radiance = dr.select(is_known, reflected, dr.select(is_metal & ~goes_on, 0.0, end.met.radiance))
         radiance += dr.select(is_known | (is_metal & ~goes_on), direct, 0.0)
         is_photographed = end.met.is_photographed & (~goes_on | beyond.is_photographed)
-        return end.met._replace(radiance=radiance, is_photographed=is_photographed)
+        return radiance, is_photographed
 
     def emitter_sample(self, p: Any, frame: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any, Any, Any]:
         """Sample a point of an emitter; return its direction in ``frame``, radiance (0 if occluded), density
