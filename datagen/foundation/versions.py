@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 DISTRIBUTION = "scene-materials"
 RESULT_REVISION = 16
 """Increased whenever a change of the code changes the bytes of a dataset but not its configurations."""
-LIGHT_REVISION = 5
+LIGHT_REVISION = 6
 """Increased whenever a change of the code changes only the buffers of ``statistics: {light: true}``."""
 PLAN_REVISION = 2
 """Increased whenever a change of the code changes the configurations or generated rooms of a recipe."""

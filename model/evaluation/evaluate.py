@@ -69,7 +69,7 @@ _RECONSTRUCTION = 31
 """Revision of ``materials infer``; cached maps of another revision are computed again."""
 _TRUE_SCENE = 17
 """Revision of the second rendering of the scene itself."""
-_MATERIALS_FROM_LIGHT = 40
+_MATERIALS_FROM_LIGHT = 41
 """Revision of materials from light (``materials`` other than "network"), beyond ``LIGHT_REVISION``."""
 _TAKEN = 1
 """Revision of photographs with camera faults."""
