@@ -143,7 +143,7 @@ def render_with_mitsuba(folder: Path, packages: Sequence[Path], python: str) -> 
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         return f"Rendered by Cycles only: {executable} failed with {last}"
     return (
-        f"Cycles {bpy.app.version_string} with {SAMPLES} samples a pixel against Mitsuba with "
+        f"Cycles {bpy.app.version_string} with {SAMPLES} samples per pixel against Mitsuba with "
         f"{_MITSUBA_SAMPLES}, not denoised."
     )
 

@@ -33,7 +33,7 @@ MIN_CONTACT_MARGIN_M = 2e-3
 _MIN_UP = 0.98  # poses with a contact on ground tilted by more than 11 degrees are rejected
 _WALL_HEIGHT_M = 0.9  # floor-standing objects above this height are often placed with their back to a wall
 _WALL_PROBABILITY = 0.65
-_ATTEMPTS_A_SCALE = 12  # per scale, since each scale needs a new collision tree (0.5 s for a large mesh)
+_ATTEMPTS_PER_SCALE = 12  # since each scale needs a new collision tree (0.5 s for a large mesh)
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 
@@ -74,7 +74,7 @@ class Placer:
         weights = [math.sqrt(np.linalg.norm(np.cross(s.edge_u_m, s.edge_v_m))) for s in surfaces]
         scale = 1.0
         for attempt in range(self.recipe.max_attempts):
-            if attempt % _ATTEMPTS_A_SCALE == 0:
+            if attempt % _ATTEMPTS_PER_SCALE == 0:
                 low, high = thing.asset.scale_range
                 scale = min(max(round(draws.uniform(low, high), 6), low), high)
             surface = draws.weighted(surfaces, weights)

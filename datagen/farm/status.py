@@ -172,10 +172,10 @@ def print_status(root: Path, cost_per_hour: float = 0.0) -> FarmStatus:
     print(f"views    {status.views_done} of {status.views_total}; {status.num_bytes / 1e9:.2f} GB")
     if status.median_unit_s is not None:
         cost = f", cost {hours * cost_per_hour:.2f}" if cost_per_hour else ""
-        print(f"time     {hours:.2f} h of finished units, median {status.median_unit_s:.0f} s a unit{cost}")
+        print(f"time     {hours:.2f} h of finished units, median {status.median_unit_s:.0f} s per unit{cost}")
     if status.units_per_hour:
         left = f", about {status.seconds_left / 60:.0f} min left" if status.seconds_left else ""
-        print(f"rate     {status.units_per_hour:.0f} units an hour{left}")
+        print(f"rate     {status.units_per_hour:.0f} units per hour{left}")
     for failure in status.failed:
         print(f"failed   {failure.id} after {failure.attempts} attempts: {failure.reason}")
         print(f"         reproduce: {failure.command}")

@@ -63,7 +63,7 @@ def _contents(asset: AnyAsset) -> str:
     if isinstance(asset, PanoramaAsset):
         return asset.daytime
     if isinstance(asset, MaterialAsset):
-        size = f", {asset.material.tile_size_m:g} m a tile" if asset.material.tile_size_m else ""
+        size = f", {asset.material.tile_size_m:g} m per tile" if asset.material.tile_size_m else ""
         return ", ".join(asset.material.classes) + size
     text = f"{_counted(len(asset.parts), 'part')}, {_counted(len(asset.materials), 'material')}"
     if isinstance(asset, ObjectAsset):

@@ -127,16 +127,16 @@ def print_estimate(result: Estimate, workers: int, free_bytes: float, as_json: b
     hours = result.total_seconds / 3600
     print(f"{result.num_configurations} configurations, {result.num_views} views")
     print(
-        f"time    {duration(result.total_seconds)} on this machine, {result.seconds_per_view:.2f} s a view, "
-        f"{duration(result.seconds_per_configuration)} a configuration ({hours:.1f} machine hours, which a "
-        "farm divides)"
+        f"time    {duration(result.total_seconds)} on this machine, "
+        f"{result.seconds_per_view:.2f} s per view, {duration(result.seconds_per_configuration)} per "
+        f"configuration ({hours:.1f} machine hours, which a farm divides)"
     )
     print(
-        f"disk    {result.total_bytes / 1e9:.2f} GB, {result.bytes_per_view / 1e6:.2f} MB a view, and "
+        f"disk    {result.total_bytes / 1e9:.2f} GB, {result.bytes_per_view / 1e6:.2f} MB per view, and "
         f"{workers * result.working_bytes / 1e9:.2f} GB for {workers} units in progress; "
         f"{free_bytes / 1e9:.1f} GB are free"
     )
-    print(f"memory  {result.peak_memory_mb / 1024:.2f} GB a worker, {workers} workers")
+    print(f"memory  {result.peak_memory_mb / 1024:.2f} GB per worker, {workers} workers")
     print(f"(from samples that took {duration(result.sample_seconds)})")
     if needed > free_bytes:
         print("the disk is too small: free space, or lower configurations, views or resolution")

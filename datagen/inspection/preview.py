@@ -86,7 +86,7 @@ class Preview:
         made = done - self.before
         rate = made / seconds * 3600 if made > 0 and seconds > 0 else 0.0
         left = f"{duration((self.total - done) / rate * 3600)} left" if rate and not is_over else ""
-        facts = [f"{done} of {self.total} views", f"{rate:,.0f} an hour" if rate else "", left]
+        facts = [f"{done} of {self.total} views", f"{rate:,.0f} per hour" if rate else "", left]
         facts += ["the run has ended" if is_over else f"as of {time.strftime('%H:%M:%S')}"]
         state = "".join(f'<p class="bad">{html.escape(line)}</p>' for line in self.said[-20:])
         cards = "".join(

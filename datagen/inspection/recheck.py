@@ -181,7 +181,7 @@ def print_rechecked(found: list[Rechecked], samples: int) -> None:
     from datagen.foundation.progress import table_console
 
     headings = ("view", "paths", "recorded relMSE", "true relMSE", "true / recorded", "bias")
-    table = Table(*headings, title=f"against {samples} plain paths a pixel")
+    table = Table(*headings, title=f"against {samples} plain paths per pixel")
     for view in found:
         recorded = "-" if view.recorded is None else f"{view.recorded:.4f}"
         ratio = "-" if not view.recorded else f"{view.rel_mse / view.recorded:.2f}"

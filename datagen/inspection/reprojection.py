@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from datagen.foundation.cameras import Camera
 from datagen.inspection.findings import Fault
 
-POINTS_A_VIEW = 3000
+POINTS_PER_VIEW = 3000
 MAX_PARTNERS = 8
 MIN_POINTS = 150
 MATCH_DISTANCE = 0.05  # maximum relative depth difference between q and p on one surface
@@ -63,11 +63,11 @@ class Agreement:
 
 
 def sample_points(view: Geometry, seed: int) -> tuple[NDArray, NDArray]:
-    """World points and unit normals, (N, 3) each, of up to :data:`POINTS_A_VIEW` random surface pixels."""
+    """World points and unit normals, (N, 3) each, of up to :data:`POINTS_PER_VIEW` random surface pixels."""
     rng = np.random.default_rng([seed, 0x7265])
     rows, columns = np.nonzero(view.is_surface)
-    if len(rows) > POINTS_A_VIEW:
-        chosen = rng.choice(len(rows), POINTS_A_VIEW, replace=False)
+    if len(rows) > POINTS_PER_VIEW:
+        chosen = rng.choice(len(rows), POINTS_PER_VIEW, replace=False)
         rows, columns = rows[chosen], columns[chosen]
     pixels = np.stack([columns, rows], axis=-1) + 0.5
     points = view.camera.unproject(pixels, view.depth_z_m[rows, columns])

@@ -6,7 +6,7 @@ radiance. Estimates of similar position and direction form K groups with one unk
 of surfel i is E_i + sum_k g_k F_ik, with E_i its known part and F_ik the estimate of group k. The albedo in a
 smooth region r is nearly constant. With residuals e_i = ln L_i - ln(E_i + sum_k g_k F_ik), ln g minimises
 
-    sum_i huber(e_i - mean of e in r(i)) / SURFELS_A_SAMPLE + PRIOR |ln g - mean|^2 + MEAN_PRIOR K mean^2
+    sum_i huber(e_i - mean of e in r(i)) / SURFELS_PER_SAMPLE + PRIOR |ln g - mean|^2 + MEAN_PRIOR K mean^2
 
 by Gauss-Newton steps, with one mean of ln g for groups outside the room and one for groups inside. Texture
 acts as noise: it is uncorrelated with the light.
@@ -32,7 +32,7 @@ ROOM_PARTS = 5
 MIN_SHARE, MAX_GROUPS = 0.002, 96
 """Minimum mean share of the surfels' irradiance that a group with a fitted gain contributes, and maximum
 number of such groups."""
-SURFELS_A_SAMPLE = 10.0
+SURFELS_PER_SAMPLE = 10.0
 """Number of neighbouring surfels that count as one sample, since their errors are correlated."""
 PRIOR, MEAN_PRIOR, REGION_PRIOR = 1.0, 0.05, 0.5
 """Strengths, in samples, of the priors that a gain equals the mean of its kind (outside or inside), that this
@@ -161,7 +161,7 @@ def _robust_weights(residual: NDArray, region: NDArray) -> NDArray[np.float64]:
     for _ in range(_REWEIGHTINGS):
         mean = np.bincount(region, weight * residual) / np.bincount(region, weight)
         weight = 1 / np.maximum(1, np.abs(residual - mean[region]) / _HUBER)
-    return weight / SURFELS_A_SAMPLE
+    return weight / SURFELS_PER_SAMPLE
 
 
 def _region_means(rows: NDArray, region: NDArray, weight: NDArray) -> NDArray[np.float64]:

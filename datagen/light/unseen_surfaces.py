@@ -20,7 +20,7 @@ from datagen.light.cells import surface_cells
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import Surfels, grouped_medians
 
-MAX_ESTIMATED_SURFELS, ESTIMATE_RAYS_A_SURFEL = 40_000, 16
+MAX_ESTIMATED_SURFELS, ESTIMATE_RAYS_PER_SURFEL = 40_000, 16
 """Approximate maximum number of surfels, and number of rays per surfel, that search for unphotographed
 surfaces."""
 MAX_RATIO_SURFELS, RATIO_EVIDENCE, PRIOR_SURFELS = 16_000, (0.5, 0.9), 4.0
@@ -93,7 +93,7 @@ def _unknown_surface(baker: Baker, surfels: Surfels) -> tuple[NDArray, NDArray, 
     """
     step = max(1, len(surfels) // MAX_ESTIMATED_SURFELS)
     origin, normal = surfels.position_m[::step], surfels.normal[::step]
-    ray = cosine_rays(origin, normal, ESTIMATE_RAYS_A_SURFEL, baker.start_m, seed=0)
+    ray = cosine_rays(origin, normal, ESTIMATE_RAYS_PER_SURFEL, baker.start_m, seed=0)
     position, facing, face = baker.field.unknown_hits(ray)
     keys, first = np.unique(surface_cells(surfels.grid, position, facing), return_index=True)
     chosen = first[keys >= 0]

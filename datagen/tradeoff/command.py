@@ -101,7 +101,7 @@ def _write(sweep: Sweep, limits: dict[str, float]) -> None:
     results = Results(trials, sweep.base, sweep.unavailable, sweep.description(), recommended, limits or None)
     for path in write_results(results, sweep.out):
         typer.echo(path)
-    typer.echo("Pareto-optimal settings (processor seconds a view, relMSE):")
+    typer.echo("Pareto-optimal settings (processor seconds per view, relMSE):")
     for point in front_of(points, sweep.base):
         typer.echo(f"  {point.cpu_s:8.3f} s  {point.rel_mse:.5f}  {point.setting.text(sweep.base)}")
     if failure is not None:
@@ -110,5 +110,5 @@ def _write(sweep: Sweep, limits: dict[str, float]) -> None:
         typer.echo(
             f"recommended: {recommended.setting.text(sweep.base)}: relMSE {recommended.rel_mse:.5f} "
             f"(worst configuration {recommended.worst_rel_mse:.5f}), maps {recommended.maps_error:.4f}, "
-            f"statistics {recommended.statistics_error:.4f}, {recommended.cpu_s:.3f} processor s a view"
+            f"statistics {recommended.statistics_error:.4f}, {recommended.cpu_s:.3f} processor s per view"
         )

@@ -31,7 +31,7 @@ from datagen.multiview.visibility import VisibilityOptions
 from datagen.rendering.denoiser import auxiliary_albedo, make_denoiser
 from datagen.rendering.renderer import SceneRenderer
 
-SAMPLES_A_CHUNK = 64
+SAMPLES_PER_CHUNK = 64
 MAX_SAMPLES = 65536
 """Maximum number of samples of an image, and the distance of the seeds of both images."""
 MAX_DEPTH = 32
@@ -146,7 +146,7 @@ def _converged(renderer: Any, index: int, samples: int, half: int) -> NDArray[np
     sensor = renderer.sensor(renderer.configuration.cameras[index].camera())
     total, done = np.zeros((1, 1, 3)), 0
     while done < samples:
-        count = min(SAMPLES_A_CHUNK, samples - done)
+        count = min(SAMPLES_PER_CHUNK, samples - done)
         seed = 0x5EED0000 + MAX_SAMPLES * half + done
         total = total + renderer.tracer.render(sensor, count, seed).astype(np.float64) * count
         done += count

@@ -133,8 +133,8 @@ class Sweep:
         views = " or ".join(dict.fromkeys(str(s.reference.num_views) for s in self.subjects))
         return {
             "configurations": ", ".join(s.configuration.id for s in self.subjects),
-            "views": f"{views} of {options.size[0]}x{options.size[1]} a configuration",
-            "reference": f"2 x {options.reference_samples} paths a pixel",
+            "views": f"{views} of {options.size[0]}x{options.size[1]} per configuration",
+            "reference": f"2 x {options.reference_samples} paths per pixel",
             "base": ", ".join(f"{name} {value}" for name, value in asdict(self.base).items() if value != ""),
             "machine": f"{os.cpu_count()} cores, {platform.processor() or platform.machine()}",
             "versions": ", ".join(f"{name} {version}" for name, version in pixel_versions().items()),

@@ -120,7 +120,7 @@ def front_figure(points: Sequence[Point], results: Results) -> Figure:
     if results.limits and "rel_mse" in results.limits:
         axes.axhline(results.limits["rel_mse"], color="#d55e00", lw=1, ls="--")
     axes.set(
-        xscale="log", yscale="log", xlabel="processor seconds a view", ylabel="relMSE of the beauty image"
+        xscale="log", yscale="log", xlabel="processor seconds per view", ylabel="relMSE of the beauty image"
     )
     axes.grid(which="both", alpha=0.25)
     axes.margins(x=0.1)  # space for the names of qualities

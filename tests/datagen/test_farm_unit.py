@@ -379,8 +379,8 @@ def test_status_is_printed(seven: DatasetFolder, capsys: pytest.CaptureFixture[s
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split(maxsplit=1)[1] == "3 done, 1 running, 1 failed, 2 waiting, 7 in all"
     assert lines[1].split(maxsplit=1)[1] == "6 of 14; 0.00 GB"
-    assert lines[2].split(maxsplit=1)[1] == "0.12 h of finished units, median 120 s a unit, cost 0.70"
-    assert lines[3].startswith("rate     4 units an hour, about ") and lines[3].endswith(" min left")
+    assert lines[2].split(maxsplit=1)[1] == "0.12 h of finished units, median 120 s per unit, cost 0.70"
+    assert lines[3].startswith("rate     4 units per hour, about ") and lines[3].endswith(" min left")
     assert lines[4] == "failed   small-00005 after 3 attempts: no light"
     assert lines[5].strip() == "reproduce: datagen run x --unit 5 --attempts 0"
     assert [line.strip() for line in lines[6:11]] == [f"| line {k}" for k in range(1995, 2000)]

@@ -50,7 +50,7 @@ def test_the_page_shows_pictures_rate_and_time_left(tmp_path: Path, clock: list[
     clock[0] = 60.0
     page.update(40)
     text = page.path.read_text()
-    assert "40 of 100 views, 1,800 an hour, 2 min left" in text  # 30 views in a minute, 60 left
+    assert "40 of 100 views, 1,800 per hour, 2 min left" in text  # 30 views in a minute, 60 left
     assert 'http-equiv="refresh"' in text
     shown = _pictures(text)
     assert list(shown) == [f"small-00000 / view-00{k}" for k in (2, 1, 0)]

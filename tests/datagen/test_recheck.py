@@ -97,7 +97,7 @@ def test_views_of_a_dataset_agree_with_plain_paths(dataset: Path, capsys: pytest
         assert 0.5 * view["recorded"] < view["rel_mse"] < 4 * view["recorded"]
     assert verify_command(dataset, recheck=1, recheck_samples=8) == 0
     table = capsys.readouterr().out
-    assert "against 8 plain paths a pixel" in table and "true relMSE" in table
+    assert "against 8 plain paths per pixel" in table and "true relMSE" in table
 
 
 def test_unsupported_rechecks_are_reported_before_the_dataset_is_verified(

@@ -276,4 +276,4 @@ def test_changed_options_invalidate_trials(swept: tuple[Path, Path]) -> None:
 def test_a_sweep_describes_what_it_measures(swept: tuple[Path, Path], tmp_path: Path) -> None:
     sweep = Sweep(swept[0], tmp_path / "new", replace(OPTIONS, views=5, configurations=(0, 0)))
     assert len(sweep.subjects) == 1 and len(sweep.pending()) == 3
-    assert sweep.description()["views"] == "3 of 24x16 a configuration"
+    assert sweep.description()["views"] == "3 of 24x16 per configuration"

@@ -52,7 +52,7 @@ REPORT.overview = (() => {
       ...data.unreadable.map(([file, why]) => element("p", { class: "notice", text: `${file} cannot be read and is not in any figure: ${why}` })),
       cards([
         ["Views", number(data.num_views), `${data.num_configurations} ${data.num_configurations === 1 ? "configuration" : "configurations"}, ${data.resolution.join(" × ")} pixels`],
-        ["Disk", bytes(e.num_bytes), e.bytes_per_view ? `${bytes(e.bytes_per_view)} a view` : ""],
+        ["Disk", bytes(e.num_bytes), e.bytes_per_view ? `${bytes(e.bytes_per_view)} per view` : ""],
         ["Time", e.why_not ? "unknown" : duration(e.hours * 3600), e.why_not || `sum over units; ${number(e.views_per_hour)} views per unit and hour`],
         ["Cost", e.cost === null || e.cost === undefined ? "unknown" : number(e.cost, 4), e.cost === null || e.cost === undefined ? "needs --cost, a unit's price per hour" : `at ${number(e.price_per_hour)} per unit and hour`],
         ["Peak memory", e.peak_memory_mb ? bytes(e.peak_memory_mb * 1e6) : "unknown", e.hosts ? `${e.hosts.length} host${e.hosts.length === 1 ? "" : "s"}` : ""],
