@@ -62,14 +62,14 @@ class Layout:
         return self.faces == 1
 
     @property
-    def directions(self) -> int:
-        """Number of bins by direction at one position."""
+    def num_directions(self) -> int:
+        """Number of bins at one position."""
         return self.azimuths * self.heights
 
     @property
-    def size(self) -> int:
+    def num_bins(self) -> int:
         """Total number of bins."""
-        return self.faces * self.places**2 * self.directions
+        return self.faces * self.places**2 * self.num_directions
 
     @property
     def num_gains(self) -> int:
@@ -77,9 +77,9 @@ class Layout:
         places, heights, azimuths = self.gain_blocks
         return self.faces * places**2 * heights * azimuths
 
-    def ways(self) -> NDArray[np.float64]:
+    def bin_directions(self) -> NDArray[np.float64]:
         """Unit directions (D, 3) of the centres of the bins at one position."""
-        row, column = np.divmod(np.arange(self.directions), self.azimuths)
+        row, column = np.divmod(np.arange(self.num_directions), self.azimuths)
         z = (row + 0.5) / self.heights * 2 - 1
         azimuth = (column + 0.5 - 0.5 * self.azimuths) * (2 * np.pi / self.azimuths)
         radius = np.sqrt(1 - z**2)
@@ -90,11 +90,12 @@ class Layout:
         azimuth = np.arctan2(direction[:, 1], direction[:, 0]) * (self.azimuths / (2 * np.pi))
         column = np.clip(azimuth + 0.5 * self.azimuths, 0, self.azimuths - 1).astype(np.int64)
         row = np.clip((direction[:, 2] * 0.5 + 0.5) * self.heights, 0, self.heights - 1).astype(np.int64)
-        way = row * self.azimuths + column
+        index = row * self.azimuths + column
         if self.is_far:
-            return way
+            return index
         face, place = box_squares(origin, direction, low, high, self.places)
-        return ((face * self.places + place[:, 0]) * self.places + place[:, 1]) * self.directions + way
+        square = (face * self.places + place[:, 0]) * self.places + place[:, 1]
+        return square * self.num_directions + index
 
 
 NEAR = Layout(6, 12, 24, 12, photographed_reach=0.45, gain_blocks=(3, 2, 4))
@@ -123,9 +124,9 @@ class Background:
 
         azimuths, heights = self.layout.azimuths, self.layout.heights
         azimuth = dr.atan2(direction.y, direction.x) * (azimuths / (2 * np.pi)) + 0.5 * azimuths
-        way = cell_of((direction.z * 0.5 + 0.5) * heights, heights) * azimuths + cell_of(azimuth, azimuths)
+        index = cell_of((direction.z * 0.5 + 0.5) * heights, heights) * azimuths + cell_of(azimuth, azimuths)
         if self.layout.is_far:
-            return way
+            return index
         distance, axis = mi.Float(dr.inf), mi.UInt32(0)
         for k in range(3):
             d = dr.select(dr.abs(direction[k]) < 1e-9, 1e-9, direction[k])
@@ -141,7 +142,7 @@ class Background:
         v = dr.select(axis == 2, place[1], place[2])
         leaving = dr.select(axis == 0, direction.x, dr.select(axis == 1, direction.y, direction.z))
         face = 2 * axis + dr.select(leaving > 0, mi.UInt32(1), 0)
-        return ((face * places + u) * places + v) * self.layout.directions + way
+        return ((face * places + u) * places + v) * self.layout.num_directions + index
 
 
 def box_squares(
@@ -226,8 +227,8 @@ def photographed_background(
     pixels = outside_pixels(views)
     if layout is None:
         layout = FAR if is_far(pixels, low, high) else NEAR
-    radiance = np.zeros((layout.size, 3), np.float32)
-    is_known, is_photographed = np.zeros(layout.size, dtype=bool), np.zeros(layout.size, dtype=bool)
+    radiance = np.zeros((layout.num_bins, 3), np.float32)
+    is_known, is_photographed = np.zeros(layout.num_bins, dtype=bool), np.zeros(layout.num_bins, dtype=bool)
     bins = layout.bins_of(pixels.origin, pixels.direction, low, high)
     keys, colors = (_means if layout.is_far else _medians)(bins, pixels.color)
     if not len(keys):
@@ -250,7 +251,7 @@ def _centres(bins: NDArray, low: NDArray, high: NDArray, layout: Layout) -> NDAr
     :data:`PLACE_WEIGHT`, and unit direction.
     """
     places = layout.places
-    face, u, v, direction = np.unravel_index(bins, (layout.faces, places, places, layout.directions))
+    face, u, v, direction = np.unravel_index(bins, (layout.faces, places, places, layout.num_directions))
     axis, is_high = face // 2, face % 2
     share = np.zeros((len(bins), 3))
     rows = np.arange(len(bins))
@@ -258,7 +259,8 @@ def _centres(bins: NDArray, low: NDArray, high: NDArray, layout: Layout) -> NDAr
     share[rows, first], share[rows, second] = (u + 0.5) / places, (v + 0.5) / places
     share[rows, axis] = is_high
     size = float(np.linalg.norm(high - low))
-    return np.concatenate([share * (high - low) * (PLACE_WEIGHT / size), layout.ways()[direction]], axis=1)
+    position = share * (high - low) * (PLACE_WEIGHT / size)
+    return np.concatenate([position, layout.bin_directions()[direction]], axis=1)
 
 
 def _medians(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float32]]:

@@ -25,8 +25,8 @@ from datagen.light.emitters import EmitterSampler
 from datagen.light.radiance_field import (
     MIN_COSINE,
     End,
-    Met,
     RadianceField,
+    RayResult,
     lobe_pdf,
     schlick_weight,
 )
@@ -168,7 +168,7 @@ class Baker:
         shares = np.array(known.numpy()), np.array(photographed.numpy())
         return SpecularShading(_rows(ls0), _rows(ls1), *shares)
 
-    def meet(self, ray: Any, active: Any, sample: MetalSample | None) -> Met:
+    def trace(self, ray: Any, active: Any, sample: MetalSample | None) -> RayResult:
         """Trace ``ray`` into the field, and reflect it once at metals.
 
         Reflections also sample bright surfaces and emitters, combined by the balance heuristic. Where the
@@ -177,9 +177,9 @@ class Baker:
         """
         import drjit as dr
 
-        end = self.field.end_of(ray, active)
+        end = self.field.trace(ray, active)
         if self.field.metals is None:
-            return end.met
+            return end.result
         assert sample is not None
         is_metal, s, alpha = self.field.metal_at(end)
         # a branch, since few rays hit metal
@@ -187,10 +187,10 @@ class Baker:
             (),
             is_metal,
             lambda: self._reflected(ray, end, is_metal, s, alpha, sample),
-            lambda: (end.met.radiance, end.met.is_photographed),
+            lambda: (end.result.radiance, end.result.is_photographed),
             label="reflect_at_metal",
         )
-        return end.met._replace(radiance=radiance, is_photographed=is_photographed)
+        return end.result._replace(radiance=radiance, is_photographed=is_photographed)
 
     def _reflected(
         self, ray: Any, end: End, is_metal: Any, s: Any, alpha: Any, sample: MetalSample
@@ -212,9 +212,9 @@ class Baker:
 
         half = sample_visible_normal(wi, alpha, sample.half)
         wo = mi.reflect(wi, half)
-        goes_on = is_metal & (wo.z > 0)
+        is_reflected = is_metal & (wo.z > 0)
         reflected_ray = mi.Ray3f(origin, frame.to_world(wo))
-        beyond = self.field.end_of(reflected_ray, goes_on).met
+        beyond = self.field.trace(reflected_ray, is_reflected).result
         others = self.guide_pdf(origin, reflected_ray.d) + self.emitter_pdf(beyond, reflected_ray)
         reflected = mirrored(wo, half, beyond.radiance, lobe_pdf(wi, wo, half, alpha), others)
         direct = mi.Color3f(0.0)
@@ -223,22 +223,24 @@ class Baker:
             wo = frame.to_local(toward)
             half = dr.normalize(wi + wo)
             pdf = lobe_pdf(wi, wo, half, alpha)
-            counts = is_metal & (pdf > 0) & (guide_pdf > 0)
+            is_valid = is_metal & (pdf > 0) & (guide_pdf > 0)
             guided = mi.Ray3f(origin, toward)
-            met = self.field.end_of(guided, counts).met
-            light = mirrored(wo, half, met.radiance, pdf, guide_pdf + self.emitter_pdf(met, guided))
-            direct += dr.select(counts, light, 0.0)
+            result = self.field.trace(guided, is_valid).result
+            light = mirrored(wo, half, result.radiance, pdf, guide_pdf + self.emitter_pdf(result, guided))
+            direct += dr.select(is_valid, light, 0.0)
         if self.samples_emitters:
-            wo, radiance, light_pdf, counts = self.emitter_sample(origin, frame, *sample.emitter)
+            wo, radiance, light_pdf, is_valid = self.emitter_sample(origin, frame, *sample.emitter)
             half = dr.normalize(wi + wo)
             pdf = lobe_pdf(wi, wo, half, alpha)
             others = light_pdf + self.guide_pdf(origin, frame.to_world(wo))
-            counts &= is_metal & (pdf > 0)
-            direct += dr.select(counts, mirrored(wo, half, radiance, pdf, others), 0.0)
-        is_known = goes_on & beyond.is_known
-        radiance = dr.select(is_known, reflected, dr.select(is_metal & ~goes_on, 0.0, end.met.radiance))
-        radiance += dr.select(is_known | (is_metal & ~goes_on), direct, 0.0)
-        is_photographed = end.met.is_photographed & (~goes_on | beyond.is_photographed)
+            is_valid &= is_metal & (pdf > 0)
+            direct += dr.select(is_valid, mirrored(wo, half, radiance, pdf, others), 0.0)
+        is_known = is_reflected & beyond.is_known
+        radiance = dr.select(
+            is_known, reflected, dr.select(is_metal & ~is_reflected, 0.0, end.result.radiance)
+        )
+        radiance += dr.select(is_known | (is_metal & ~is_reflected), direct, 0.0)
+        is_photographed = end.result.is_photographed & (~is_reflected | beyond.is_photographed)
         return radiance, is_photographed
 
     def emitter_sample(self, p: Any, frame: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any, Any, Any]:
@@ -255,33 +257,33 @@ class Baker:
         d = toward / distance
         facing = -dr.dot(normal, d)
         wo = frame.to_local(d)
-        counts = (facing > 1e-4) & (wo.z > 0)
+        is_valid = (facing > 1e-4) & (wo.z > 0)
         ray = mi.Ray3f(p, d)
         ray.maxt = distance * (1 - _SHADOW)
-        counts &= ~self.field.scene.ray_test(ray, counts)
+        is_valid &= ~self.field.scene.ray_test(ray, is_valid)
         pdf = area_pdf * distance2 / dr.maximum(facing, 1e-4)
-        return wo, dr.select(counts, radiance, 0.0), pdf, counts
+        return wo, dr.select(is_valid, radiance, 0.0), pdf, is_valid
 
-    def emitter_pdf(self, met: Met, ray: Any) -> Any:
-        """Density [1/sr] with which :meth:`emitter_sample` samples ``ray``, whose result is ``met``."""
+    def emitter_pdf(self, result: RayResult, ray: Any) -> Any:
+        """Density [1/sr] with which :meth:`emitter_sample` samples ``ray``."""
         import drjit as dr
         import mitsuba as mi
 
         if not self.samples_emitters:
             return mi.Float(0.0)
-        is_emitter = met.is_front_of_emitter
-        area = dr.gather(mi.Float, self._sampler.area_pdf_of_face, met.face, is_emitter)
-        facing = dr.maximum(met.cosine, 1e-4)
-        return dr.select(is_emitter, area * dr.square(met.distance_m) / facing, 0.0)
+        is_emitter = result.is_front_of_emitter
+        area = dr.gather(mi.Float, self._sampler.area_pdf_of_face, result.face, is_emitter)
+        facing = dr.maximum(result.cosine, 1e-4)
+        return dr.select(is_emitter, area * dr.square(result.distance_m) / facing, 0.0)
 
-    def lobe_weight(self, pdf: Any, met: Met, ray: Any) -> Any:
+    def lobe_weight(self, pdf: Any, result: RayResult, ray: Any) -> Any:
         """Weight, by the balance heuristic, of a ray sampled from a lobe with density ``pdf`` [1/sr]."""
         import drjit as dr
         import mitsuba as mi
 
         if self.guide is None and not self.samples_emitters:
             return mi.Float(1.0)
-        others = self.emitter_pdf(met, ray) + self.guide_pdf(ray.o, ray.d)
+        others = self.emitter_pdf(result, ray) + self.guide_pdf(ray.o, ray.d)
         return pdf / dr.maximum(pdf + others, 1e-20)
 
     def guide_pdf(self, p: Any, direction: Any) -> Any:
@@ -327,7 +329,7 @@ def _shifted(step: Any, shift: Any) -> Any:
 
 
 def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> MetalSample | None:
-    """Return the argument ``sample`` of :meth:`Baker.meet`; None without metals."""
+    """Return the argument ``sample`` of :meth:`Baker.trace`; None without metals."""
     import mitsuba as mi
 
     if baker.field.metals is None:
@@ -359,25 +361,27 @@ def _irradiance_loop(baker: Baker, p: Any, frame: Any, lane: Any, count: Any, se
         u1, u2, u3, u4, u5 = _lattice(lane, index, count, seed)
         wo = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u1, u2))
         ray = mi.Ray3f(p, frame.to_world(wo))
-        met = baker.meet(ray, mi.Bool(True), _metal_sample(baker, lane, index, seed))
-        weight = baker.lobe_weight(wo.z * dr.inv_pi, met, ray)
+        result = baker.trace(ray, mi.Bool(True), _metal_sample(baker, lane, index, seed))
+        weight = baker.lobe_weight(wo.z * dr.inv_pi, result, ray)
         if baker.samples_emitters:
-            direction, radiance, light_pdf, counts = baker.emitter_sample(p, frame, u3, mi.Point2f(u4, u5))
+            direction, radiance, light_pdf, is_valid = baker.emitter_sample(p, frame, u3, mi.Point2f(u4, u5))
             cosine_pdf = dr.maximum(direction.z, 0.0) * dr.inv_pi
             others = light_pdf + baker.guide_pdf(p, frame.to_world(direction))
             light = cosine_pdf / dr.maximum(others + cosine_pdf, 1e-20)
-            total = total + dr.select(counts, radiance * light, 0.0)
+            total = total + dr.select(is_valid, radiance * light, 0.0)
         if baker.guide is not None:
             toward, guide_pdf = baker.guide.sample(p, *_light_sample(lane, index, seed, _GUIDE_STEPS))
             guided = mi.Ray3f(p, toward)
             cosine_pdf = dr.maximum(dr.dot(toward, frame.n), 0.0) * dr.inv_pi
-            counts = (cosine_pdf > 0) & (guide_pdf > 0)
-            end = baker.meet(guided, counts, _metal_sample(baker, lane, index, seed + 1))
-            share = cosine_pdf / dr.maximum(cosine_pdf + guide_pdf + baker.emitter_pdf(end, guided), 1e-20)
-            total = total + dr.select(counts, end.radiance * share, 0.0)
-        total = total + met.radiance * weight
-        known = known + dr.select(met.is_known, 1.0, 0.0)
-        photographed = photographed + dr.select(met.is_photographed, 1.0, 0.0)
+            is_valid = (cosine_pdf > 0) & (guide_pdf > 0)
+            guided_result = baker.trace(guided, is_valid, _metal_sample(baker, lane, index, seed + 1))
+            share = cosine_pdf / dr.maximum(
+                cosine_pdf + guide_pdf + baker.emitter_pdf(guided_result, guided), 1e-20
+            )
+            total = total + dr.select(is_valid, guided_result.radiance * share, 0.0)
+        total = total + result.radiance * weight
+        known = known + dr.select(result.is_known, 1.0, 0.0)
+        photographed = photographed + dr.select(result.is_photographed, 1.0, 0.0)
         return index + 1, total, known, photographed
 
     state = (mi.UInt32(0), mi.Color3f(0.0), mi.Float(0.0), mi.Float(0.0))
@@ -399,17 +403,19 @@ def _specular_loop(
         wo = mi.reflect(wi, h)
         above = wo.z > 0
         ray = mi.Ray3f(p, frame.to_world(wo))
-        met = baker.meet(ray, above, _metal_sample(baker, lane, index, seed))
+        result = baker.trace(ray, above, _metal_sample(baker, lane, index, seed))
         f = schlick_weight(dr.dot(wi, h))
         value = dr.select(above, smith_g1(wo, alpha), 0.0)
-        weight = baker.lobe_weight(lobe_pdf(wi, wo, h, alpha), met, ray)
+        weight = baker.lobe_weight(lobe_pdf(wi, wo, h, alpha), result, ray)
         if baker.samples_emitters:
-            direction, radiance, light_pdf, counts = baker.emitter_sample(p, frame, u3, mi.Point2f(u4, u5))
+            direction, radiance, light_pdf, is_valid = baker.emitter_sample(p, frame, u3, mi.Point2f(u4, u5))
             half = dr.normalize(wi + direction)
             lobe = lobe_pdf(wi, direction, half, alpha)
             others = light_pdf + baker.guide_pdf(p, frame.to_world(direction))
             arriving = dr.select(
-                counts, radiance * smith_g1(direction, alpha) * (lobe / dr.maximum(others + lobe, 1e-20)), 0.0
+                is_valid,
+                radiance * smith_g1(direction, alpha) * (lobe / dr.maximum(others + lobe, 1e-20)),
+                0.0,
             )
             light_f = schlick_weight(dr.dot(wi, half))
             ls0 = ls0 + arriving * (1.0 - light_f)
@@ -419,17 +425,17 @@ def _specular_loop(
             guided, direction = mi.Ray3f(p, toward), frame.to_local(toward)
             half = dr.normalize(wi + direction)
             lobe = lobe_pdf(wi, direction, half, alpha)
-            counts = (lobe > 0) & (guide_pdf > 0)
-            end = baker.meet(guided, counts, _metal_sample(baker, lane, index, seed + 1))
-            share = lobe / dr.maximum(lobe + guide_pdf + baker.emitter_pdf(end, guided), 1e-20)
-            arriving = dr.select(counts, end.radiance * smith_g1(direction, alpha) * share, 0.0)
+            is_valid = (lobe > 0) & (guide_pdf > 0)
+            guided_result = baker.trace(guided, is_valid, _metal_sample(baker, lane, index, seed + 1))
+            share = lobe / dr.maximum(lobe + guide_pdf + baker.emitter_pdf(guided_result, guided), 1e-20)
+            arriving = dr.select(is_valid, guided_result.radiance * smith_g1(direction, alpha) * share, 0.0)
             light_f = schlick_weight(dr.dot(wi, half))
             ls0 = ls0 + arriving * (1.0 - light_f)
             ls1 = ls1 + arriving * light_f
-        ls0 = ls0 + met.radiance * (value * weight * (1.0 - f))
-        ls1 = ls1 + met.radiance * (value * weight * f)
-        known = known + dr.select(met.is_known | ~above, 1.0, 0.0)
-        photographed = photographed + dr.select(met.is_photographed | ~above, 1.0, 0.0)
+        ls0 = ls0 + result.radiance * (value * weight * (1.0 - f))
+        ls1 = ls1 + result.radiance * (value * weight * f)
+        known = known + dr.select(result.is_known | ~above, 1.0, 0.0)
+        photographed = photographed + dr.select(result.is_photographed | ~above, 1.0, 0.0)
         return index + 1, ls0, ls1, known, photographed
 
     state = (mi.UInt32(0), mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0), mi.Float(0.0))

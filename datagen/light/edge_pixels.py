@@ -208,14 +208,14 @@ def _rays_through(
     toward = rays_within_pixels(view.camera, pixel).reshape(-1, 3)
     direction: Any = mi.Vector3f(np.ascontiguousarray(toward.T, np.float32))
     position = mi.Point3f(*view.camera.position_m.tolist())
-    met = field.end_of(mi.Ray3f(position, direction), mi.Bool(True)).met
-    face = dr.select(dr.isfinite(met.distance_m), mi.Int32(met.face), -1)
-    dr.eval(met, face)
+    result = field.trace(mi.Ray3f(position, direction), mi.Bool(True)).result
+    face = dr.select(dr.isfinite(result.distance_m), mi.Int32(result.face), -1)
+    dr.eval(result, face)
     shape = len(pixel), PIXEL_RAYS
-    radiance = np.asarray(met.radiance.numpy()).reshape(3, *shape).transpose(1, 2, 0)
+    radiance = np.asarray(result.radiance.numpy()).reshape(3, *shape).transpose(1, 2, 0)
     return (
         radiance,
-        np.asarray(met.is_known.numpy(), bool).reshape(shape),
+        np.asarray(result.is_known.numpy(), bool).reshape(shape),
         np.asarray(face.numpy()).reshape(shape),
     )
 

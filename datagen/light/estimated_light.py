@@ -67,7 +67,7 @@ def background_groups(layout: Layout) -> NDArray[np.int64]:
     shape = layout.faces, layout.places, layout.places, layout.heights, layout.azimuths
     places, heights, azimuths = layout.gain_blocks
     blocks = layout.faces, places, places, heights, azimuths
-    bins = np.unravel_index(np.arange(layout.size), shape)
+    bins = np.unravel_index(np.arange(layout.num_bins), shape)
     return np.ravel_multi_index(
         [axis // (num // of) for axis, num, of in zip(bins, shape, blocks, strict=True)], blocks
     )

@@ -207,12 +207,12 @@ def _estimated(
     The estimated radiance is the typical reflectance of the smooth region times the incident light times the
     gain, which is fitted to the surfels with the ``diffuse`` part of their radiance.
     """
-    nowhere = np.zeros((len(surfels), 3), np.float32)
+    no_sunlight = np.zeros((len(surfels), 3), np.float32)
     if not options.estimates_unseen:
-        return _Estimates(seen, np.zeros(len(surfels)), None, nowhere)
+        return _Estimates(seen, np.zeros(len(surfels)), None, no_sunlight)
     unseen = unseen_surfaces(Baker(seen, size_m), surfels, regions, options.estimate_rays)
     extended = unseen.added_to(seen, surfels)
-    baker, sunlight = Baker(extended, size_m), nowhere
+    baker, sunlight = Baker(extended, size_m), no_sunlight
     sun = sun_in(baker) if options.finds_sun else None
     if sun is not None:
         rays = ShadowRays(seen.scene, baker.start_m)
@@ -220,8 +220,8 @@ def _estimated(
     if not options.fits_estimates:
         return _Estimates(extended, np.zeros(len(surfels)), sun, sunlight)
     gains = fitted_gains(baker, diffuse, regions.of_face[surfels.face], sunlight)
-    of_unseen = gains.of_group[surface_groups(unseen.position_m, unseen.normal, surfels), None]
-    unseen = replace(unseen, radiance=(unseen.radiance * of_unseen).astype(np.float32))
+    gain = gains.of_group[surface_groups(unseen.position_m, unseen.normal, surfels), None]
+    unseen = replace(unseen, radiance=(unseen.radiance * gain).astype(np.float32))
     fitted = seen.with_background(with_gains(seen.background, gains.of_group))
     return _Estimates(unseen.added_to(fitted, surfels), gains.hidden, sun, sunlight)
 
@@ -240,12 +240,15 @@ def _found_sun(
 
 
 def clipped_surfels(views: Sequence[TracedView], surfels: Surfels) -> NDArray[np.bool_]:
-    """Compute whether more than :data:`MAX_CLIPPED` of each surfel's pixels are clipped in a channel (N,)."""
+    """Mask (N,) of the surfels of whose pixels more than :data:`MAX_CLIPPED` are clipped in a channel."""
     return np.asarray((clipped_shares(views, surfels) > MAX_CLIPPED).any(axis=1))
 
 
 def smoothed(surfels: Surfels, values: NDArray, neighbours: int) -> NDArray[np.float32]:
-    """Gaussian means (N, K) of ``values`` (N, K) over the nearest ``neighbours`` with similar normals."""
+    """Means (N, K) of ``values`` (N, K) over the nearest ``neighbours`` with similar normals.
+
+    Weights are Gaussian, with a standard deviation of 1.5 cells.
+    """
     distance, index = near_surfels(surfels, neighbours)
     weight = np.exp(-0.5 * (distance / 1.5) ** 2)
     weight /= weight.sum(axis=1, keepdims=True)

@@ -34,7 +34,7 @@ MIN_COSINE = 0.02
 """Lower bound to which the cosine between normal and view direction is clamped."""
 
 
-class Met(NamedTuple):
+class RayResult(NamedTuple):
     """Result of tracing a ray: ``radiance`` is 0 unless known; ``is_photographed`` is False for estimates.
 
     ``face`` is the triangle hit; ``distance_m`` is infinite for a miss. ``cosine``, between the emitter's
@@ -77,11 +77,11 @@ class Estimated(NamedTuple):
 
 
 class End(NamedTuple):
-    """Endpoint of a ray: its result ``met``, the ``row`` of the cell's radiance (-1 for none), position,
+    """Endpoint of a ray: its ``result``, the ``row`` of the cell's radiance (-1 for none), position,
     normal facing the ray's origin, and whether the ray ``leaves`` the mesh.
     """
 
-    met: Met
+    result: RayResult
     row: Any
     position: Any
     normal: Any
@@ -169,7 +169,7 @@ class RadianceField:
         alpha = alpha_from_roughness(dr.gather(mi.Float, self._metal_roughness, end.row, is_metal))
         return is_metal, albedo, dr.select(is_metal, alpha, 1.0)
 
-    def end_of(self, ray: Any, active: Any) -> End:
+    def trace(self, ray: Any, active: Any) -> End:
         """Trace ``ray`` into the field, without reflections at metals."""
         import drjit as dr
         import mitsuba as mi
@@ -188,7 +188,7 @@ class RadianceField:
         where = self.background.bin_of(ray.o, ray.d)
         knowledge = dr.gather(mi.Float, self._background_known, where, missed)
         radiance = dr.select(missed, dr.gather(mi.Color3f, self._background, where, missed), radiance)
-        met = Met(
+        result = RayResult(
             radiance,
             is_known | emits | (missed & (knowledge > 0.5)),
             is_photographed | emits | (missed & (knowledge > 1.5)),
@@ -197,7 +197,7 @@ class RadianceField:
             si.t,
             cosine,
         )
-        return End(met, row, si.p, normal, missed)
+        return End(result, row, si.p, normal, missed)
 
     def unknown_hits(self, ray: Any) -> tuple[NDArray, NDArray, NDArray[np.int64]]:
         """Return positions (K, 3), ray-facing normals (K, 3) and triangles (K,) of hits on surfaces of
@@ -206,28 +206,28 @@ class RadianceField:
         import drjit as dr
         import mitsuba as mi
 
-        end = self.end_of(ray, mi.Bool(True))
-        is_unknown = ~end.leaves & ~end.met.is_known
+        end = self.trace(ray, mi.Bool(True))
+        is_unknown = ~end.leaves & ~end.result.is_known
         dr.eval(is_unknown, end)
         chosen = np.flatnonzero(is_unknown.numpy())
         position, normal = (
             np.asarray(values.numpy()).reshape(3, -1).T[chosen] for values in (end.position, end.normal)
         )
-        return position, normal, np.asarray(end.met.face.numpy())[chosen].astype(np.int64)
+        return position, normal, np.asarray(end.result.face.numpy())[chosen].astype(np.int64)
 
     def estimated(self, ray: Any) -> Estimated:
         """Select the rays whose radiance is estimated."""
         import drjit as dr
         import mitsuba as mi
 
-        end = self.end_of(ray, mi.Bool(True))
+        end = self.trace(ray, mi.Bool(True))
         where = dr.select(end.leaves, mi.Int32(self.background.bin_of(ray.o, ray.d)), -1)
-        is_estimated = end.met.is_known & ~end.met.is_photographed
+        is_estimated = end.result.is_known & ~end.result.is_photographed
         dr.eval(is_estimated, where, end)
         chosen = np.flatnonzero(is_estimated.numpy())
         radiance, position, normal = (
             np.asarray(values.numpy()).reshape(3, -1).T[chosen]
-            for values in (end.met.radiance, end.position, end.normal)
+            for values in (end.result.radiance, end.position, end.normal)
         )
         bins = np.asarray(where.numpy())[chosen].astype(np.int64)
         return Estimated(chosen, radiance, bins, position, normal)

@@ -2,9 +2,9 @@
 """Finds the sun of a photographed room from its patches of sunlight.
 
 Photographs rarely show the sun, so its light is missing in the radiance field. Sunlit surfels are brighter,
-relative to their incident light, than the rest of their smooth region, and they are exactly those from which
-one direction leaves the mesh. The sun is the direction whose visibility correlates best with the logarithm of
-that ratio. Its irradiance follows from the median, over sunlit surfels, of their radiance divided by the
+relative to their incident light, than the rest of their smooth region, and rays towards the sun leave the
+mesh from exactly these surfels. The sun is the direction whose visibility correlates best with the logarithm
+of that ratio. Its irradiance follows from the median, over sunlit surfels, of their radiance divided by the
 reflectance of the nearest surfels in shadow, less other light.
 """
 
@@ -36,9 +36,9 @@ MIN_COSINE = 0.1
 """Minimum cosine between the sun and the normal of a sunlit surfel."""
 MAX_LOG_RATIO = 1.5
 """Bound on ln reflectance relative to the region, which lamps and highlights exceed."""
-MIN_CORRELATION, MIN_BRIGHT, MIN_IMPOSSIBLE = 0.3, 0.6, 0.3
+MIN_CORRELATION, MIN_BRIGHT, MIN_ABOVE_WHITE = 0.3, 0.6, 0.3
 """Minimum correlation between the sun's visibility and ln reflectance, and minimum shares of sunlit surfels
-that are brighter than the mean of sunlit and other surfels, and brighter than white without the sun."""
+that are brighter than the mean of sunlit and other surfels, and brighter than white surfaces in shadow."""
 LOCAL_SURFELS, NEAREST_SHARE = 16, 0.5
 """Number of nearest surfels in shadow whose median reflectance is that of a sunlit surfel, and share of a
 region's sunlit surfels, the nearest to shadow, that determine the sun's irradiance."""
@@ -79,22 +79,22 @@ class ShadowRays:
     def disk_share(self, direction: Floats, position_m: NDArray, normal: NDArray) -> Floats:
         """Compute the visible share (N,) of the sun's disk in ``direction`` (3,)."""
         directions = around(direction, ANGULAR_DIAMETER_RAD / 2, DISK_SAMPLES)
-        return self.leave(directions, position_m, normal).mean(axis=0)
+        return self.escape(directions, position_m, normal).mean(axis=0)
 
-    def leave(self, directions: Floats, position_m: NDArray, normal: NDArray) -> NDArray[np.bool_]:
-        """Compute whether rays in ``directions`` (D, 3) leave the scene (D, N); False where their cosine to
-        the normal is at most :data:`MIN_COSINE`.
+    def escape(self, directions: Floats, position_m: NDArray, normal: NDArray) -> NDArray[np.bool_]:
+        """Compute the mask (D, N) of rays in ``directions`` (D, 3) that leave the scene and whose cosine to
+        the normal exceeds :data:`MIN_COSINE`.
         """
         import mitsuba as mi
 
-        found = normal @ directions.T > MIN_COSINE
+        escapes = normal @ directions.T > MIN_COSINE
         origin = (position_m + self.start_m * normal).astype(np.float32)
-        surface, way = np.nonzero(found)
+        surface, toward = np.nonzero(escapes)
         for start in range(0, len(surface), _BATCH):
-            at, of = surface[start : start + _BATCH], way[start : start + _BATCH]
-            ray = mi.Ray3f(mi.Point3f(vectors_from_rows(origin[at])), vectors_from_rows(directions[of]))
-            found[at, of] = ~np.asarray(self.scene.ray_test(ray).numpy(), dtype=bool)
-        return found.T
+            at, to = surface[start : start + _BATCH], toward[start : start + _BATCH]
+            ray = mi.Ray3f(mi.Point3f(vectors_from_rows(origin[at])), vectors_from_rows(directions[to]))
+            escapes[at, to] = ~np.asarray(self.scene.ray_test(ray).numpy(), dtype=bool)
+        return escapes.T
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class LitSurfaces:
 
 
 def find_sun(surfaces: LitSurfaces, rays: ShadowRays) -> Sun | None:
-    """Find the sun; None if no direction explains which surfels are bright, or its irradiance is unknown."""
+    """Find the sun; None if bright surfels fit no direction, or if its irradiance is unknown."""
     count = np.bincount(surfaces.region)
     surfaces = surfaces.chosen(count[surfaces.region] >= MIN_SURFELS)
     if not len(surfaces):
@@ -132,12 +132,12 @@ def find_sun(surfaces: LitSurfaces, rays: ShadowRays) -> Sun | None:
     for _ in range(REFINEMENTS):
         best = _best(np.stack([best, *around(best, radius, REFINED_DIRECTIONS)]), surfaces, value, rays)
         radius /= 2
-    seen = rays.leave(best[None], surfaces.position_m, surfaces.normal)
+    seen = rays.escape(best[None], surfaces.position_m, surfaces.normal)
     if _correlations(seen, value, surfaces.region)[0] < MIN_CORRELATION:
         return None
-    of_sun, is_white = seen[0], luminance(surfaces.radiance) > luminance(surfaces.diffuse)
-    is_bright = value > 0.5 * (value[of_sun].mean() + value[~of_sun].mean())
-    if is_bright[of_sun].mean() < MIN_BRIGHT or is_white[of_sun].mean() < MIN_IMPOSSIBLE:
+    is_sunlit, is_above_white = seen[0], luminance(surfaces.radiance) > luminance(surfaces.diffuse)
+    is_bright = value > 0.5 * (value[is_sunlit].mean() + value[~is_sunlit].mean())
+    if is_bright[is_sunlit].mean() < MIN_BRIGHT or is_above_white[is_sunlit].mean() < MIN_ABOVE_WHITE:
         return None
     radiance = _facing_radiance(surfaces, rays, best)
     return None if radiance is None else Sun(best, radiance)
@@ -148,7 +148,7 @@ def _best(directions: Floats, surfaces: LitSurfaces, value: Floats, rays: Shadow
     num = max(1, _BATCH // len(surfaces))
     found = []
     for start in range(0, len(directions), num):
-        seen = rays.leave(directions[start : start + num], surfaces.position_m, surfaces.normal)
+        seen = rays.escape(directions[start : start + num], surfaces.position_m, surfaces.normal)
         found.append(_correlations(seen, value, surfaces.region))
     return np.asarray(directions[np.concatenate(found).argmax()])
 
@@ -164,23 +164,23 @@ def _log_ratio(surfaces: LitSurfaces) -> Floats:
 
 
 def _correlations(seen: NDArray[np.bool_], value: Floats, region: NDArray) -> Floats:
-    """Compute the correlation (D,) within regions between ``value`` (N,) and ``seen`` (D, N); 0 for
-    directions that are visible from nowhere or everywhere.
+    """Compute the correlation (D,) within regions between ``value`` (N,) and the mask ``seen`` (D, N) of the
+    surfels from which a direction is visible; 0 if these are none or all.
     """
     of_region = np.unique(region, return_inverse=True)[1]
     count = np.bincount(of_region).astype(np.float64)
-    about = value - (np.bincount(of_region, value) / count)[of_region]
+    deviation = value - (np.bincount(of_region, value) / count)[of_region]
     total = np.stack([np.bincount(of_region, row, len(count)) for row in seen])
-    spread = (total * (1 - total / count)).sum(axis=1)
-    norm = np.sqrt(np.maximum(spread * float(about @ about), 1e-12))
-    return np.where(spread > 0, seen @ about / norm, 0.0)
+    variance = (total * (1 - total / count)).sum(axis=1)
+    norm = np.sqrt(np.maximum(variance * float(deviation @ deviation), 1e-12))
+    return np.where(variance > 0, seen @ deviation / norm, 0.0)
 
 
 def _facing_radiance(surfaces: LitSurfaces, rays: ShadowRays, direction: Floats) -> Floats | None:
     """Compute the diffuse shading (3,) of a surface that faces the sun: the median over regions of the median
     over their sunlit surfels near shadow; None if none has enough.
 
-    Clipped surfels count as brighter than all others, so that those that remain are no biased sample.
+    Clipped surfels count as infinitely bright; without them, the median would be too low.
     """
     seen = rays.disk_share(direction, surfaces.position_m, surfaces.normal)
     found, weight = [], []
@@ -221,11 +221,11 @@ def upper_directions(num: int) -> Floats:
 
 def around(direction: Floats, radius: float, num: int) -> Floats:
     """Compute ``num`` unit directions (num, 3) evenly distributed within ``radius`` of ``direction``."""
-    helper = np.eye(3)[np.abs(direction).argmin()]
-    x = np.cross(direction, helper)
+    axis = np.eye(3)[np.abs(direction).argmin()]
+    x = np.cross(direction, axis)
     x /= np.linalg.norm(x)
     index = np.arange(num) + 0.5
-    reach, turn = radius * np.sqrt(index / num), np.pi * (1 + np.sqrt(5)) * index
-    found = direction + (reach * np.cos(turn))[:, None] * x
-    found += (reach * np.sin(turn))[:, None] * np.cross(direction, x)
+    offset, turn = radius * np.sqrt(index / num), np.pi * (1 + np.sqrt(5)) * index
+    found = direction + (offset * np.cos(turn))[:, None] * x
+    found += (offset * np.sin(turn))[:, None] * np.cross(direction, x)
     return found / np.linalg.norm(found, axis=1, keepdims=True)

@@ -69,8 +69,8 @@ def room(radiance: NDArray, *, sky: float = 0.0) -> tuple[RadianceField, Surfels
     emitters = Emitters(
         of_face, no.reshape(0, 3), np.ones(4, np.float32), no.astype(np.int32), no.reshape(0, 3, 3), no
     )
-    every = np.ones(NEAR.size, dtype=bool)
-    outside = np.full((NEAR.size, 3), sky, np.float32)
+    every = np.ones(NEAR.num_bins, dtype=bool)
+    outside = np.full((NEAR.num_bins, 3), sky, np.float32)
     background = Background(np.full(3, -5.0), np.full(3, 5.0), outside, every, every)
     return RadianceField(mesh_scene(mesh), surfel_cells(surfels), emitters, background), surfels
 

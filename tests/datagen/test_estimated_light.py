@@ -92,9 +92,9 @@ def test_background_groups_are_blocks_of_positions_and_directions(layout: Layout
 
 @pytest.mark.parametrize("layout", [NEAR, FAR])
 def test_only_estimates_of_the_background_are_scaled(layout: Layout) -> None:
-    is_known = np.arange(layout.size) % 3 > 0
-    radiance = np.ones((layout.size, 3), np.float32)
-    is_photographed = np.arange(layout.size) % 3 == 2
+    is_known = np.arange(layout.num_bins) % 3 > 0
+    radiance = np.ones((layout.num_bins, 3), np.float32)
+    is_photographed = np.arange(layout.num_bins) % 3 == 2
     background = Background(np.zeros(3), np.ones(3), radiance, is_known, is_photographed, layout)
     gains = np.linspace(1, 2, NUM_GROUPS)
     scaled = with_gains(background, gains)

@@ -44,9 +44,9 @@ ABOVE = 0.25
 
 def background(radiance: NDArray) -> Background:
     """Background of uniform radiance."""
-    every = np.ones(NEAR.size, dtype=bool)
+    every = np.ones(NEAR.num_bins, dtype=bool)
     low, high = np.full(3, -5.0), np.full(3, 5.0)
-    return Background(low, high, np.tile(radiance, (NEAR.size, 1)).astype(np.float32), every, every)
+    return Background(low, high, np.tile(radiance, (NEAR.num_bins, 1)).astype(np.float32), every, every)
 
 
 def dark_surfel() -> Surfels:

@@ -47,7 +47,7 @@ def lit() -> Lit:
     far = Mesh(np.eye(3, dtype=np.float32) * 1e-3 - 4, np.array([[0, 1, 2]], np.int32), None, None)
     none, row = np.zeros(0, np.int32), np.zeros((0, 3), np.float32)
     dark = Emitters(np.full(1, -1, np.int32), row, np.ones(1, np.float32), none, row.reshape(0, 3, 3), none)
-    every, radiance = np.ones(NEAR.size, dtype=bool), np.ones((NEAR.size, 3), np.float32)
+    every, radiance = np.ones(NEAR.num_bins, dtype=bool), np.ones((NEAR.num_bins, 3), np.float32)
     sky = Background(np.full(3, -5.0), np.full(3, 5.0), radiance, every, every)
     return Lit(surfels, Baker(RadianceField(mesh_scene(far), surfel_cells(surfels), dark, sky), 1e-2))
 

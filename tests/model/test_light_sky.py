@@ -229,17 +229,17 @@ def test_sky_with_a_glow_is_stored_by_direction() -> None:
 
 
 def test_image_of_the_sky_has_the_directions_of_rays() -> None:
-    radiance = np.zeros((FAR.size, 3), np.float32)
+    radiance = np.zeros((FAR.num_bins, 3), np.float32)
     ways = np.array([[0, 1.0, 0.01], [0, -1.0, 0.2]])
     bins = FAR.bins_of(np.zeros((2, 3)), ways, LOW, HIGH)
     radiance[bins] = [[1, 2, 3], [5, 1, 1]]
-    known = np.isin(np.arange(FAR.size), bins)
+    known = np.isin(np.arange(FAR.num_bins), bins)
     image = sky_image(Background(LOW, HIGH, radiance, known, known, FAR))
     np.testing.assert_array_equal(image[HEIGHT // 2, HEIGHT], [1, 2, 3])  # the centre looks along +Y
     np.testing.assert_array_equal(image[HEIGHT // 2, 0], [5, 1, 1])  # -Y: no bin there, the nearest
     ways = direction_vectors(HEIGHT)
     np.testing.assert_array_equal(directions_of(ways, HEIGHT), np.arange(len(ways)))
-    dark = np.zeros((FAR.size, 3), np.float32)
+    dark = np.zeros((FAR.num_bins, 3), np.float32)
     dark[bins[0]] = 1  # not lost between the centres of the pixels
     assert sky_image(Background(LOW, HIGH, dark, dark[:, 0] >= 0, known, FAR)).max() > 0.3
 

@@ -111,7 +111,7 @@ def test_response_curve_is_inverted(curve: float) -> None:
 
 def sky_blocks(sources: Sources) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Sources (K,) of the window's blocks of sky, and their mean directions (K, 3)."""
-    ways = np.tile(NEAR.ways(), (len(sources.of_bin) // NEAR.directions, 1))
+    ways = np.tile(NEAR.bin_directions(), (len(sources.of_bin) // NEAR.num_directions, 1))
     chosen = (sources.of_bin >= 0) & (ways[:, 2] > 0)
     blocks, of_bin = np.unique(sources.of_bin[chosen], return_inverse=True)
     return blocks, np.stack([np.bincount(of_bin, way) for way in ways[chosen].T], axis=1) / np.bincount(

@@ -74,8 +74,8 @@ def sky_image(background: Background) -> NDArray[np.float32]:
 
     A pixel is the mean of its known bins; a pixel without known bins equals the nearest one with some.
     """
-    of_direction = directions_of(background.layout.ways(), HEIGHT)
-    pixel = np.resize(of_direction, background.layout.size)[background.is_known]
+    of_direction = directions_of(background.layout.bin_directions(), HEIGHT)
+    pixel = np.resize(of_direction, background.layout.num_bins)[background.is_known]
     radiance = background.radiance[background.is_known].astype(np.float64)
     count = np.bincount(pixel, minlength=HEIGHT * WIDTH)
     sums = [np.bincount(pixel, column, HEIGHT * WIDTH) for column in radiance.T]

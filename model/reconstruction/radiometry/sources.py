@@ -145,7 +145,7 @@ def _labelled_emitters(share: NDArray) -> tuple[NDArray[np.int64], NDArray]:
 
 def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDArray[np.int64]:
     """Count the clipped pixels (B,) in each bin of the background."""
-    total = np.zeros(NEAR.size, np.int64)
+    total = np.zeros(NEAR.num_bins, np.int64)
     for view in marked:
         clipped = (view.geometry.face < 0) & view.valid_mask & (view.color.max(axis=2) > 0)
         pixel = np.flatnonzero(clipped)
@@ -162,7 +162,7 @@ def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], ND
     directions in an opening is a source.
     """
     opening = _openings((share >= CLIPPED_SHARE).any(axis=1), seen)
-    row, column = np.divmod(np.arange(NEAR.directions), NEAR.azimuths)
+    row, column = np.divmod(np.arange(NEAR.num_directions), NEAR.azimuths)
     height = np.array(BLOCK_OF_HEIGHT)[row]
     across = NEAR.azimuths // AZIMUTHS_A_BLOCK
     block = np.where(height > 0, height * across + column // AZIMUTHS_A_BLOCK, 0)
@@ -182,8 +182,8 @@ def _openings(clipped: NDArray[np.bool_], seen: NDArray) -> NDArray[np.int64]:
 
     An opening is a connected part of a face of the box with clipped bins.
     """
-    shape = 6, NEAR.places, NEAR.places, NEAR.directions
-    leaves = np.stack([sign * axis > 0 for axis in NEAR.ways().T for sign in (-1, 1)])  # by face
+    shape = 6, NEAR.places, NEAR.places, NEAR.num_directions
+    leaves = np.stack([sign * axis > 0 for axis in NEAR.bin_directions().T for sign in (-1, 1)])  # by face
     clipped = (clipped.reshape(shape) & leaves[:, None, None]).ravel()
     has_clipped = clipped.reshape(shape).any(axis=3)
     label = np.full(shape[:3], -1, np.int64)
