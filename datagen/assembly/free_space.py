@@ -16,10 +16,10 @@ from datagen.formats.asset import EnvironmentAsset
 from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
 
-NUM_FEELERS = 96  # rays cast in all directions from a camera position, 15 degrees between neighbours
+NUM_PROBE_RAYS = 96  # cast in all directions from a camera position, 15 degrees between neighbours
 _REACH_M = 6.0  # without camera regions, free space extends this far from the environment's cameras
-_MAX_BACK_SHARE = 0.35  # share of feelers above which hits on back faces mean a camera inside a solid
-_MAX_OPEN_SHARE = 0.75  # share of feelers above which misses mean a camera outside the room
+_MAX_BACK_SHARE = 0.35  # share of probe rays above which hits on back faces mean a camera inside a solid
+_MAX_OPEN_SHARE = 0.75  # share of probe rays above which misses mean a camera outside the room
 
 
 @dataclass(frozen=True)
@@ -88,14 +88,14 @@ class FreeSpace:
 
     def fault(self, position: Floats, clearance_m: float) -> str:
         """Reason why a position (3,) is not free: ``inside_solid``, ``too_close``, ``outside``; else ''."""
-        directions = fibonacci_sphere(NUM_FEELERS)
+        directions = fibonacci_sphere(NUM_PROBE_RAYS)
         hits = self.rays.cast(position, directions)
         backs = int(self.rays.is_back_hit(hits, directions).sum())
-        if self.has_consistent_winding and backs > _MAX_BACK_SHARE * NUM_FEELERS:
+        if self.has_consistent_winding and backs > _MAX_BACK_SHARE * NUM_PROBE_RAYS:
             return "inside_solid"
         if float(hits.distance_m.min()) < clearance_m:
             return "too_close"
-        if (~hits.hit_mask).sum() > _MAX_OPEN_SHARE * NUM_FEELERS:
+        if (~hits.hit_mask).sum() > _MAX_OPEN_SHARE * NUM_PROBE_RAYS:
             return "outside"
         return ""
 

@@ -3,7 +3,7 @@
 
 PBS arrays have at least two members with consecutive numbers, so the script lists the unit of each member.
 PBS sends no signal before a time limit, so the script does. Unfinished units then submit themselves again as
-new jobs, so the collecting job submits itself again while units are left; its own name tells it from theirs.
+new jobs, as does the collecting job, under a name of its own, while units are left.
 """
 
 from __future__ import annotations

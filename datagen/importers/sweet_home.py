@@ -253,12 +253,12 @@ class _PieceImport(ImportJob):
             if np.linalg.det(matrix[:3, :3]) < 0:
                 mesh = replace(mesh, faces=mesh.faces[:, ::-1].copy())
             mesh = without_degenerate(mesh)
-            if not len(mesh.faces) or material.stand_in == "remove":
+            if not len(mesh.faces) or material.treatment == "remove":
                 continue
             mesh, mended = with_sound_normals(mesh)
             num_mended.append(mended)
             entry = (unique(slug(slot), {name for name, _, _ in pieces + panes}), material, mesh)
-            is_flat = material.stand_in == "pane" and is_pane(mesh)
+            is_flat = material.treatment == "pane" and is_pane(mesh)
             (panes if is_flat else pieces).append(entry)
         raise_problems(self.problems)
         note_mended(self.findings, num_mended)

@@ -35,7 +35,7 @@ _LEFT_OUT = (
     "map_ks", "map_ns", "map_ka", "map_ke", "map_bump", "bump", "map_refl", "refl", "map_disp", "disp",
 )  # fmt: skip
 
-StandIn = Literal["opaque", "remove", "pane"]
+Treatment = Literal["opaque", "remove", "pane"]
 
 
 @dataclass(frozen=True)
@@ -49,11 +49,11 @@ class PhongChannels:
 
 @dataclass
 class ConvertedMaterial:
-    """A converted material; ``stand_in``: treatment of its surface (``pane``: remove if flat, else keep)."""
+    """A converted material; ``treatment`` of its surface: ``pane`` removes it if it is flat."""
 
     slot: str
     material: SlotMaterial
-    stand_in: StandIn = "opaque"
+    treatment: Treatment = "opaque"
 
 
 def phong_roughness(exponent: float) -> float:
@@ -123,8 +123,8 @@ class PhongConverter:
         for keyword in _LEFT_OUT:
             if keyword in phong.maps:
                 self._note(f"{slot}: {keyword} left out")
-        stand_in = self._stand_in(slot, phong)
-        if stand_in == "pane" and image is None:
+        treatment = self._treatment(slot, phong)
+        if treatment == "pane" and image is None:
             diffuse = _color(np.asarray(diffuse) * phong.opacity + OPAL_ALBEDO * (1 - phong.opacity))
         emission = self._emission(slot, phong)
         material = SlotMaterial(
@@ -137,7 +137,7 @@ class PhongConverter:
             approximations=tuple(dict.fromkeys(self._notes)),
             replaceable_by=REPLACEABLE[classes[0]] if emission is None and opacity is None else (),
         )
-        return ConvertedMaterial(slot, self.known.corrected(slot, material), stand_in)
+        return ConvertedMaterial(slot, self.known.corrected(slot, material), treatment)
 
     def _note(self, sentence: str) -> None:
         self._notes.append(self.findings.approximate(sentence))
@@ -184,7 +184,7 @@ class PhongConverter:
         values = normalized(self.cache.pixels(mask.file))[..., channel]
         return None if float(values.min()) >= _OPAQUE else mask
 
-    def _stand_in(self, slot: str, phong: PhongMaterial) -> StandIn:
+    def _treatment(self, slot: str, phong: PhongMaterial) -> Treatment:
         """Return how to treat a surface of uniform opacity; record a problem if it is refused."""
         if phong.opacity >= _OPAQUE:
             return "opaque"

@@ -23,7 +23,7 @@ UNIT_TOLERANCE = 5e-3  # three half floats, each rounded by up to 2.5e-4
 MAX_SHARE_OF_BAD_NORMALS = 1e-3  # opposite sides of a thin sheet may cancel within a pixel
 FIREFLY_FACTOR, FIREFLY_MAX_SIZE = 20.0, 4
 MAX_FIREFLIES, MAX_SHARE_OF_FIREFLIES = 4, 2e-4
-BLACK_LUMINANCE, BLACK_EXPOSED, BURNT_EXPOSED = 1e-5, 0.01, 4.0
+BLACK_LUMINANCE, BLACK_EXPOSED, OVEREXPOSED = 1e-5, 0.01, 4.0
 MAX_SHARE_CLIPPED = 0.01
 _HALF_MAX = 65504.0
 MIN_ROUGHNESS_PIXELS, MIN_ROUGHNESS_RANGE = 500, 2e-3
@@ -137,11 +137,11 @@ def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
         return [Fault("exposure", where, f"flat: luminance is {middle:.4g} everywhere", expected)]
     clipped = float((view["beauty"].max(axis=-1) >= _HALF_MAX).mean())
     if clipped > MAX_SHARE_CLIPPED:
-        got = f"burnt: {clipped:.1%} of the pixels have the largest half float"
+        got = f"overexposed: {clipped:.1%} of the pixels have the largest half float"
         return [Fault("exposure", where, got, f"at most {MAX_SHARE_CLIPPED:.0%}")]
-    if middle * exposure > BURNT_EXPOSED:
-        got = f"burnt: half of the frame is above {middle * exposure:.3g} at the exposure of the other views"
-        return [Fault("exposure", where, got, f"at most {BURNT_EXPOSED:g}")]
+    if middle * exposure > OVEREXPOSED:
+        got = f"overexposed: half of the frame is above {middle * exposure:.3g} at the other views' exposure"
+        return [Fault("exposure", where, got, f"at most {OVEREXPOSED:g}")]
     return []
 
 

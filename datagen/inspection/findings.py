@@ -19,7 +19,7 @@ CHECKS = {
     "range": "albedos, roughness, radiance and depth are in range",
     "normal": "normals are unit vectors on surfaces",
     "firefly": "no isolated pixels far brighter than their neighbours",
-    "exposure": "no black, flat or burnt frames",
+    "exposure": "no black, flat or overexposed frames",
     "roughness": "roughness varies where its material has a texture",
     "statistics": "min <= median <= max, and counts are possible",
     "reprojection": "depth and cameras of different views agree",

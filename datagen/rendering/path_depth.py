@@ -21,7 +21,7 @@ MAX_DEPTH = 64
 """Maximum depth, for nearly white surfaces; Russian roulette ends nearly all paths earlier."""
 
 
-def reflectance_met(buffers: list[dict[str, NDArray[np.float32]]]) -> float:
+def rms_reflectance(buffers: list[dict[str, NDArray[np.float32]]]) -> float:
     """Reflectance in [0, 1] that represents all surfaces in views with ``buffers``, (H, W, C) by name.
 
     It is the largest root mean square of a channel over pixels, since the mean would underestimate the share

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import DEFAULT_MAX_DEPTH, RenderRecipe
 from datagen.foundation.cameras import Camera
-from datagen.rendering.path_depth import depth_for, reflectance_met, truncation
+from datagen.rendering.path_depth import depth_for, rms_reflectance, truncation
 from datagen.rendering.scene_builder import AssetCaches, BuiltScene, build_scene, sensor_for
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ class PreparedScene:
         """Return the maximum path depth and, if the recipe bounds the truncation, its value, else None."""
         if self.recipe.max_energy_left is None:
             return self.recipe.max_depth or DEFAULT_MAX_DEPTH, None
-        reflectance = reflectance_met(list(self.coarse_maps()))
+        reflectance = rms_reflectance(list(self.coarse_maps()))
         depth = depth_for(reflectance, self.recipe.max_energy_left)
         return depth, truncation(reflectance, depth)
 

@@ -11,7 +11,7 @@ import pytest
 from datagen.formats.lights import PointLight
 from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.cameras import Camera, look_at
-from datagen.rendering.path_depth import MAX_DEPTH, MIN_DEPTH, depth_for, reflectance_met, truncation
+from datagen.rendering.path_depth import MAX_DEPTH, MIN_DEPTH, depth_for, rms_reflectance, truncation
 from datagen.rendering.transport.integrator import PathTracer
 from oracles.rendering_scenes import GREY, SmallScene, quad, renderer
 
@@ -55,8 +55,8 @@ def test_reflectance_excludes_background() -> None:
     diffuse[..., 0] = 0.5
     mask = np.array([[1.0, 1.0], [0.5, 0.0]], np.float32)[..., None]
     view = {"diffuse_albedo": diffuse, "specular_albedo": specular, "surface_mask": mask}
-    assert reflectance_met([view, view]) == pytest.approx(0.9 * 0.5 + 0.1)
-    assert reflectance_met([{**view, "surface_mask": 0 * mask}]) == 0.0
+    assert rms_reflectance([view, view]) == pytest.approx(0.9 * 0.5 + 0.1)
+    assert rms_reflectance([{**view, "surface_mask": 0 * mask}]) == 0.0
 
 
 def test_depth_follows_from_the_room_and_is_recorded(tmp_path: Path, mitsuba_variant: str) -> None:
