@@ -124,7 +124,7 @@ class _Choice:
     packages: tuple[Package, ...]
 
 
-class LikelyDresser:
+class LikelyMaterials:
     """Assigns materials of ``palette`` to all assets of a configuration in one style."""
 
     def __init__(

@@ -18,7 +18,7 @@ from datagen.assembly.generated import generated_room
 from datagen.assembly.geometry import AssetGeometry, PackageCache, WorldScene, load_geometry
 from datagen.assembly.light_levels import light_room
 from datagen.assembly.lights import RoomToLight
-from datagen.assembly.likely import LikelyDresser
+from datagen.assembly.likely import LikelyMaterials
 from datagen.assembly.looks import RoomStyle
 from datagen.assembly.materials import MeanMaterials, assign_materials, mean_materials
 from datagen.assembly.placement import Shortfall, place_things
@@ -102,7 +102,7 @@ def _assemble_once(
     things = [_thing(package) for package in pools.objects]
     weights = _library_weights(recipe, library, pools)
     placed_things = place_things(room, things, recipe.objects, key, rejections, weights)
-    placed, packages = _dress(recipe, key, environment, placed_things, pools, library)
+    placed, packages = _placed_assets(recipe, key, environment, placed_things, pools, library)
 
     geometries = [_geometry(package) for package in packages]
     scene = _world(geometries, placed)
@@ -134,7 +134,7 @@ def _assemble_once(
     )
 
 
-def _dress(
+def _placed_assets(
     recipe: Recipe,
     key: tuple[int | str, ...],
     environment: Package,
@@ -148,7 +148,7 @@ def _dress(
     weights, draws = recipe.materials.variation, Draws(*key[:2], "style")
     likely = None
     if draws.chance(weights.likely / (weights.likely + weights.wild)):
-        likely = LikelyDresser(RoomStyle.draw(draws), pools.materials, recipe.materials, _MEANS)
+        likely = LikelyMaterials(RoomStyle.draw(draws), pools.materials, recipe.materials, _MEANS)
     placed = []
     for item, package in enumerate(packages):
         draws, foreign = Draws(*key, "materials", item), pools.foreign_slots

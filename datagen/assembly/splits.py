@@ -144,22 +144,21 @@ def partition(recipe: Recipe, pools: Pools) -> dict[str, Split]:
     shares = _shares(recipe)
     used = [split for split in SPLITS if shares[split] > 0]
     family_of = _families([*pools.environments, *pools.objects, *pools.materials])
-    home: dict[str, Split] = {}
-    for pool in _dealing_order(pools):
+    assigned: dict[str, Split] = {}
+    for pool in _kinds(pools):
         ids = sorted({family_of[p.id] for p in pool}, key=lambda i: digest(recipe.seed, "partition", i))
-        open_ids = [i for i in ids if i not in home]
-        dealt = {split: sum(home.get(i) == split for i in ids) for split in used}
-        for family in open_ids:
+        counts = {split: sum(assigned.get(i) == split for i in ids) for split in used}
+        for family in [i for i in ids if i not in assigned]:
             # the split with the largest deficit, but first splits without assets; ties in the order of SPLITS
-            lack = [(dealt[s] == 0, float(shares[s] * len(ids)) - dealt[s], -k) for k, s in enumerate(used)]
+            lack = [(counts[s] == 0, float(shares[s] * len(ids)) - counts[s], -k) for k, s in enumerate(used)]
             best = used[max(range(len(used)), key=lambda k: lack[k])]
-            home[family] = best
-            dealt[best] += 1
-    return {p.id: home[family_of[p.id]] for p in (*pools.environments, *pools.objects, *pools.materials)}
+            assigned[family] = best
+            counts[best] += 1
+    return {p.id: assigned[family_of[p.id]] for p in (*pools.environments, *pools.objects, *pools.materials)}
 
 
-def _dealing_order(pools: Pools) -> list[list[Package]]:
-    """The pools in the order of distribution: environments, objects by category, materials by main class."""
+def _kinds(pools: Pools) -> list[list[Package]]:
+    """Packages by kind, in the order of distribution: rooms, objects by category, materials by main class."""
     groups: dict[tuple[int, str], list[Package]] = {}
     for package in (*pools.environments, *pools.objects, *pools.materials):
         asset, key = package.asset, (0, "")

@@ -53,7 +53,7 @@ def worker_main(connection: Connection, root: str, threads: int, stages: tuple[s
     """Main function of a worker process: receive unit indices, run the units, and send the outcomes."""
     signals: list[int] = []
     parent = os.getppid()
-    for number in STOP_SIGNALS:  # Ctrl-C and queues signal all processes; only the parent reacts
+    for number in STOP_SIGNALS:  # Ctrl-C and queues signal all processes; the parent stops its workers
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, _: signals.append(number))
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):

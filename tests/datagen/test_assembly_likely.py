@@ -13,7 +13,7 @@ import pytest
 from pydantic import ValidationError
 
 from datagen.assembly.geometry import load_geometry
-from datagen.assembly.likely import LikelyDresser, reach
+from datagen.assembly.likely import LikelyMaterials, reach
 from datagen.assembly.looks import LOOKS, Look, RoomStyle
 from datagen.assembly.materials import MeanMaterial, MeanMaterials, adjusted, mean_materials
 from datagen.assembly.plan import assemble
@@ -45,8 +45,8 @@ def surfaces(name: str) -> dict[str, Surface]:
 
 
 def choices(name: str, seed: int, recipe: MaterialRecipe = ALWAYS) -> dict[str, MaterialAssignment]:
-    dresser = LikelyDresser(RoomStyle.draw(Draws(seed)), library().select("material"), recipe, MEANS)
-    return dresser.assign(library().package(name), surfaces(name), Draws(seed, "dress"))
+    likely = LikelyMaterials(RoomStyle.draw(Draws(seed)), library().select("material"), recipe, MEANS)
+    return likely.assign(library().package(name), surfaces(name), Draws(seed, "dress"))
 
 
 def assigned(name: str, seed: int) -> dict[str, MeanMaterial]:

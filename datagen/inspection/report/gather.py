@@ -65,7 +65,7 @@ class GatherJob:
         return sha256_hex(canonical_json(parts))
 
     @property
-    def kept_path(self) -> Path:
+    def cache_path(self) -> Path:
         return self.out / "gathered" / f"{self.record.configuration}.json"
 
     @property
@@ -74,8 +74,8 @@ class GatherJob:
         return self.out / "tiles" / self.record.configuration
 
 
-def kept(work: Callable[[Any], dict[str, Any]]) -> Callable[[Any], dict[str, Any]]:
-    """Store the results of ``work`` in a job's ``kept_path`` under its ``key``, and reuse them later.
+def cached(work: Callable[[Any], dict[str, Any]]) -> Callable[[Any], dict[str, Any]]:
+    """Store the results of ``work`` in a job's ``cache_path`` under its ``key``, and reuse them later.
 
     Before ``work``, the job's folder ``tiles`` is removed.
     """
@@ -84,19 +84,19 @@ def kept(work: Callable[[Any], dict[str, Any]]) -> Callable[[Any], dict[str, Any
     def result_of(job: Any) -> dict[str, Any]:
         key = job.key
         with suppress(OSError, ValueError):
-            earlier = json.loads(job.kept_path.read_bytes())
+            earlier = json.loads(job.cache_path.read_bytes())
             if isinstance(earlier, dict) and earlier.get("key") == key:
                 return earlier
         if job.tiles.is_dir():  # of an earlier report with other options
             shutil.rmtree(job.tiles)
         result = {"key": key, **work(job)}
-        write_bytes_atomically(job.kept_path, canonical_json(result), parents=True)
+        write_bytes_atomically(job.cache_path, canonical_json(result), parents=True)
         return result
 
     return result_of
 
 
-@kept
+@cached
 def gather_shard(job: GatherJob) -> dict[str, Any]:
     """Measure one shard; returns plain data and writes thumbnails, tiles and the configuration's script.
 

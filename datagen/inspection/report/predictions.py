@@ -31,7 +31,7 @@ from datagen.foundation.errors import InputError, Problem, raise_problems
 from datagen.foundation.exr import decode_view
 from datagen.foundation.naming import unique
 from datagen.foundation.transliteration import transliterated
-from datagen.inspection.report.gather import kept
+from datagen.inspection.report.gather import cached
 from datagen.inspection.report.tiles import write_tile
 
 TILES = "predictions"
@@ -120,7 +120,7 @@ class CompareJob:
         return sha256_hex(canonical_json([_REVISION, self.record.sha256, self.with_pixels, found]))
 
     @property
-    def kept_path(self) -> Path:
+    def cache_path(self) -> Path:
         name = f"{self.record.configuration}.json"
         return self.out / "gathered" / "predictions" / self.method.slug / name
 
@@ -130,7 +130,7 @@ class CompareJob:
         return self.out / "tiles" / TILES / self.method.slug / self.record.configuration
 
 
-@kept
+@cached
 def compare_shard(job: CompareJob) -> dict[str, Any]:
     """Compare a method's maps with a shard; returns each view's errors as plain data and writes tiles.
 

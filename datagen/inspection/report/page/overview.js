@@ -53,8 +53,8 @@ REPORT.overview = (() => {
       cards([
         ["Views", number(data.num_views), `${data.num_configurations} ${data.num_configurations === 1 ? "configuration" : "configurations"}, ${data.resolution.join(" × ")} pixels`],
         ["Disk", bytes(e.num_bytes), e.bytes_per_view ? `${bytes(e.bytes_per_view)} per view` : ""],
-        ["Time", e.why_not ? "unknown" : duration(e.hours * 3600), e.why_not || `sum over units; ${number(e.views_per_hour)} views per unit and hour`],
-        ["Cost", e.cost === null || e.cost === undefined ? "unknown" : number(e.cost, 4), e.cost === null || e.cost === undefined ? "needs --cost, a unit's price per hour" : `at ${number(e.price_per_hour)} per unit and hour`],
+        ["Time", e.why_not ? "unknown" : duration(e.hours * 3600), e.why_not || `sum over units; ${number(e.views_per_hour)} views per unit-hour`],
+        ["Cost", e.cost === null || e.cost === undefined ? "unknown" : number(e.cost, 4), e.cost === null || e.cost === undefined ? "needs --cost, a unit's price per hour" : `at ${number(e.price_per_hour)} per unit-hour`],
         ["Peak memory", e.peak_memory_mb ? bytes(e.peak_memory_mb * 1e6) : "unknown", e.hosts ? `${e.hosts.length} host${e.hosts.length === 1 ? "" : "s"}` : ""],
         ["Findings", data.findings.is_checked ? count(errors, "error") : "not verified", data.findings.is_checked ? count(warnings, "warning") : ""],
         ["Leakage", data.splits.shared.length ? `${data.splits.shared.length} shared assets` : "none", `${data.splits.rows.length} split${data.splits.rows.length === 1 ? "" : "s"}; the recipe ${data.splits.is_disjoint_asked ? "requires" : "does not require"} disjoint splits`],
