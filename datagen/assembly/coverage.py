@@ -62,7 +62,7 @@ class Shell:
         return bool(seen[1:].any() and seen.sum() >= 2)
 
 
-def sees(camera: Camera, points: Floats, rays: RayScene) -> NDArray[np.bool_]:
+def visible_mask(camera: Camera, points: Floats, rays: RayScene) -> NDArray[np.bool_]:
     """Mask (P,) of the surface points (P, 3) that project into the camera's image and are not occluded."""
     pixels, depth = camera.project(points)
     limits = [camera.width_px, camera.height_px]
@@ -92,7 +92,7 @@ def measure(
         points.append(preview.position_m + found.distance_m[seen, None] * directions[seen])
         hits.append(found)
     everywhere = np.concatenate(points)
-    counts = np.sum([sees(preview, everywhere, scene.rays) for preview in previews], axis=0)
+    counts = np.sum([visible_mask(preview, everywhere, scene.rays) for preview in previews], axis=0)
     faces = np.concatenate([found.face[found.hit_mask] for found in hits])
     tables = [
         np.array([(max(w[p.material].specular_albedo), w[p.material].roughness) for p in g.asset.parts])

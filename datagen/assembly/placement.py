@@ -230,8 +230,8 @@ def place_things(
     fitting = [t for t in things if surfaces_for(t.asset, room.asset) and t.can_stand(CONTACT_TOLERANCE_M)]
     cannot_stand = sum(not t.can_stand(CONTACT_TOLERANCE_M) for t in things)
     rejections["placement.cannot_stand"] += cannot_stand
-    shelves = _shelves(fitting, recipe, weight_of_library or {})
-    if not shelves:
+    libraries = _by_library(fitting, recipe, weight_of_library or {})
+    if not libraries:
         if recipe.count[0] == 0:
             return []
         kinds = sorted({s.kind for s in room.asset.support_surfaces})
@@ -244,13 +244,13 @@ def place_things(
             "add support surfaces, other objects, or set objects.count to [0, 0]",
         )
     placer = Placer(room, recipe, rejections)
-    chosen = [_draw_thing(shelves, draws) for _ in range(target)]
+    chosen = [_draw_thing(libraries, draws) for _ in range(target)]
     order = sorted(range(target), key=lambda k: (-_bulk(chosen[k].asset), k))
     for k in order:
         placer.place(chosen[k], Draws(*key, "place", k))
     extra = 0
     while len(placer.placed) < target and extra < target:  # replace objects that could not be placed
-        other = _draw_thing(shelves, draws)
+        other = _draw_thing(libraries, draws)
         placer.place(other, Draws(*key, "replace", extra))
         extra += 1
     if len(placer.placed) < recipe.count[0]:
@@ -267,7 +267,7 @@ def place_things(
 
 
 @dataclass(frozen=True)
-class _Shelf:
+class _LibraryObjects:
     """The objects of one library by category, with the weights of the library and of each category."""
 
     weight: float
@@ -275,26 +275,26 @@ class _Shelf:
     category_weights: list[float]
 
 
-def _shelves(
+def _by_library(
     things: list[Thing], recipe: ObjectRecipe, weight_of_library: Mapping[str, tuple[str, float]]
-) -> list[_Shelf]:
+) -> list[_LibraryObjects]:
     """Group objects by library, sorted by name; omit libraries in which all weights are 0."""
-    libraries: dict[tuple[str, float], dict[str, list[Thing]]] = {}
+    groups: dict[tuple[str, float], dict[str, list[Thing]]] = {}
     for thing in sorted(things, key=lambda t: (t.asset.category, t.asset.id)):
-        of_library = libraries.setdefault(weight_of_library.get(thing.asset.id, ("", 1.0)), {})
+        of_library = groups.setdefault(weight_of_library.get(thing.asset.id, ("", 1.0)), {})
         of_library.setdefault(thing.asset.category, []).append(thing)
-    shelves = []
-    for (_, weight), by_category in sorted(libraries.items(), key=lambda entry: entry[0]):
+    libraries = []
+    for (_, weight), by_category in sorted(groups.items(), key=lambda entry: entry[0]):
         weights = [recipe.category_weights.get(category, 1.0) for category in by_category]
         if weight > 0 and any(weights):
-            shelves.append(_Shelf(weight, by_category, weights))
-    return shelves
+            libraries.append(_LibraryObjects(weight, by_category, weights))
+    return libraries
 
 
-def _draw_thing(shelves: list[_Shelf], draws: Draws) -> Thing:
+def _draw_thing(libraries: list[_LibraryObjects], draws: Draws) -> Thing:
     """Draw a library (unless there is only one), then one of its categories, then an object."""
-    shelf = shelves[0] if len(shelves) == 1 else draws.weighted(shelves, [s.weight for s in shelves])
-    return draws.choice(shelf.by_category[draws.weighted(list(shelf.by_category), shelf.category_weights)])
+    chosen = libraries[0] if len(libraries) == 1 else draws.weighted(libraries, [o.weight for o in libraries])
+    return draws.choice(chosen.by_category[draws.weighted(list(chosen.by_category), chosen.category_weights)])
 
 
 def _bulk(asset: ObjectAsset) -> float:

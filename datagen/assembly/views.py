@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.assembly.coverage import Shell, preview_of, sees
+from datagen.assembly.coverage import Shell, preview_of, visible_mask
 from datagen.assembly.free_space import FreeSpace
 from datagen.assembly.geometry import Floats, RayScene, WorldScene, direction_of
 from datagen.assembly.light_levels import Lighting
@@ -337,7 +337,7 @@ def overlap_matrix(pool: list[Candidate], rays: RayScene, known: Floats | None =
         sources = [i for i in range(count) if i != j and (i >= start or j >= start)]
         if not sources:
             continue
-        seen = sees(target.preview, np.concatenate([pool[i].points for i in sources]), rays)
+        seen = visible_mask(target.preview, np.concatenate([pool[i].points for i in sources]), rays)
         sizes = [len(pool[i].points) for i in sources]
         for i, end, size in zip(sources, np.cumsum(sizes).tolist(), sizes, strict=True):
             overlap[i, j] = float(seen[end - size : end].mean()) if size else 0.0

@@ -70,7 +70,7 @@ def trace_capture(capture: Capture, progress: Advance | None = None) -> TracedCa
     if not any(view.geometry.surface_mask.any() for view in views):
         expected = "cameras that face the mesh"
         remedy = "check that mesh and cameras share their frame, axes and unit"
-        raise input_error(capture.name, "geometry", "no view sees the mesh", expected, remedy)
+        raise input_error(capture.name, "geometry", "no view shows the mesh", expected, remedy)
     return TracedCapture(capture, geometry, tuple(views))
 
 

@@ -99,8 +99,8 @@ def light_surfels(
 
     ``emits`` (M,): mask of the emissive triangles; ``region_of_face`` (M,): smooth region of each triangle.
     ``step`` returns a context manager for the stage of a given name. If any emitter is dark, ``unseen``
-    returns all emitters, given the light of the photographed ones. Raises ``ValueError`` if the views show no
-    extended surface.
+    returns all emitters, given the light of the photographed ones. Raises :class:`InputError` if the views
+    show no extended surface.
     """
     with step("surfels"):
         surfels = build_surfels(views)

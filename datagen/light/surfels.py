@@ -161,11 +161,11 @@ def _extent(views: Sequence[TracedView]) -> tuple[NDArray[np.float64], float, ND
         footprint.append(z / view.camera.fx_px)
     position = np.concatenate(points) if points else np.zeros((0, 3))
     if not len(position):
-        raise _unseen("no view sees the mesh")
+        raise _nothing_shown("no view shows the mesh")
     low, high = np.percentile(position, [1, 99], axis=0)
     diagonal = float(np.linalg.norm(high - low))
     if diagonal <= 0:
-        raise _unseen("the views see no extended surface")
+        raise _nothing_shown("the views show no extended surface")
     cell_m = max(diagonal / CELLS_ACROSS, MIN_CELL_PIXELS * float(np.median(np.concatenate(footprint))))
     margin = 0.5 * (_MAX_EXTENT - 1) * np.maximum(high - low, 0.1 * diagonal)
     low = np.maximum(position.min(axis=0) - cell_m, low - margin)
@@ -173,7 +173,7 @@ def _extent(views: Sequence[TracedView]) -> tuple[NDArray[np.float64], float, ND
     return low, cell_m, np.ceil((high - low) / cell_m).astype(np.int64) + 1
 
 
-def _unseen(got: str) -> InputError:
+def _nothing_shown(got: str) -> InputError:
     expected = "a surface in many pixels"
     return input_error("photographs", "", got, expected, "check the unit and the frame of the mesh")
 

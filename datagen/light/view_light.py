@@ -32,7 +32,7 @@ class ViewLight:
     """Computes the light of all views; :meth:`buffers` returns that of one view.
 
     ``emits``: mask of the emissive triangles. The result does not depend on the order of the views.
-    Raises ``ValueError`` if the views show no extended surface.
+    Raises :class:`InputError` if the views show no extended surface.
     """
 
     def __init__(self, views: Sequence[TracedView], traced: TracedGeometry, emits: NDArray[np.bool_]):

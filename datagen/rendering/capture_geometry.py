@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Joins the meshes of a configuration into a capture's geometry (a world-space mesh, its parts and lamps).
 
-Lights that cameras see as surfaces are parts with emission, like the emissive parts of assets: photographs
-show them in front of other surfaces.
+Lights that are visible surfaces are parts with emission, like the emissive parts of assets: photographs show
+them in front of other surfaces.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.assembly.coverage import Shell, measure, preview_of, sees
+from datagen.assembly.coverage import Shell, measure, preview_of, visible_mask
 from datagen.assembly.geometry import WorldScene, load_geometry
 from datagen.assembly.materials import MeanMaterial
 from datagen.assembly.plan import assemble
@@ -83,7 +83,7 @@ def test_hidden_points_are_not_seen(room: tuple[WorldScene, Shell]) -> None:
     one = camera((0.6, 1.4, 0.3), (4.5, 1.4, 0.3))
     on_table, behind, beside, shown = (2.0, 1.4, 0.7501), (0.1, 1.4, 0.3), (0.9, 3.5, 0.3), (3.5, 1.4, 0.3)
     points = np.array([on_table, behind, beside, shown])
-    assert sees(one, points, scene.rays).tolist() == [False, False, False, True]
+    assert visible_mask(one, points, scene.rays).tolist() == [False, False, False, True]
 
 
 def recipe(subject: str, views: int) -> Recipe:

@@ -216,5 +216,5 @@ def test_views_without_any_surface_are_refused(tmp_path: Path) -> None:
     away = replace(camera, world_from_camera=pose)
     shape = (camera.height_px, camera.width_px)
     view = StatisticsView(away, np.ones((*shape, 3)), *(np.zeros((*shape, k)) for k in (1, 3, 1)))
-    with pytest.raises(InputError, match=r"no view sees the mesh.*leave statistics.light out"):
+    with pytest.raises(InputError, match=r"no view shows the mesh.*leave statistics.light out"):
         light_of_views(run, configuration, [view])

@@ -381,6 +381,6 @@ def test_a_mesh_that_no_view_sees_is_refused(rendered: Rendered, tmp_path: Path)
     mesh = capture.geometry.mesh
     away = replace(mesh, positions=mesh.positions + np.float32(100))
     moved = replace(capture, geometry=CaptureGeometry(away, capture.geometry.parts))
-    with pytest.raises(InputError, match="no view sees the mesh"):
+    with pytest.raises(InputError, match="no view shows the mesh"):
         infer(moved, tmp_path, CheckpointMaps(rendered.checkpoint))
     assert read_capture(rendered.shard, CaptureOptions(max_width_px=48)).views[0].camera.width_px == 48

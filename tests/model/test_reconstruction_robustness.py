@@ -182,7 +182,7 @@ def test_a_mesh_in_hardly_any_pixel_is_refused_with_a_remedy() -> None:
     depth = np.zeros_like(view.geometry.depth_z_m)
     depth[0, 0] = 1
     seen = replace(view, geometry=replace(view.geometry, depth_z_m=depth))
-    with pytest.raises(InputError, match=r"no view sees the mesh.*check the unit"):
+    with pytest.raises(InputError, match=r"no view shows the mesh.*check the unit"):
         build_surfels([seen])
 
 

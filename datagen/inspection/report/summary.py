@@ -323,7 +323,7 @@ def plan_summary(configurations: Iterable[Configuration]) -> str:
 
     medians = [coverage.median_observations for coverage, *_ in found]
     lines = [
-        f"the median surface pixel is seen by {np.median(medians):g} views ({min(medians):g} to "
+        f"the median surface pixel is visible in {np.median(medians):g} views ({min(medians):g} to "
         f"{max(medians):g} by configuration), {mean('thin_share'):.0%} of the pixels by at most two",
         f"{mean('room_share'):.0%} of the views show two walls, or a wall and the ceiling",
         f"{mean('metal_share'):.1%} of the surface pixels have S > 0.3, {mean('gloss_share'):.1%} R < 0.3",
