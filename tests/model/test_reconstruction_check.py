@@ -21,7 +21,7 @@ from datagen.geometry.traced import TracedGeometry
 from model.reconstruction.captures.photographs import PhotographSource
 from model.reconstruction.check.capture_check import check_capture
 from model.reconstruction.check.edges import EdgeMatch, edge_field, match_edges, mesh_edges, photograph_field
-from model.reconstruction.check.judgement import common_mistake
+from model.reconstruction.check.judgement import common_error
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.predict.sources import TRUTH
 from tests.model.photographed_room import (
@@ -111,7 +111,7 @@ def test_offset_and_scale_of_a_mesh_are_separated(offset: tuple[float, float, fl
         shift = shift + rng.normal(0, 0.1, 2) + (20 if index in (3, 8) else 0)
         match = EdgeMatch((float(shift[0]), float(shift[1])), (0.3, 0.0, 0.3), 0.0, 0.0, 0)
         views.append((camera, 3.0, match))
-    found = common_mistake(views)
+    found = common_error(views)
     assert found is not None
     assert found.scale == pytest.approx(scale, abs=0.002)
     measured = np.zeros(3) if found.offset_m is None else found.offset_m
@@ -120,7 +120,7 @@ def test_offset_and_scale_of_a_mesh_are_separated(offset: tuple[float, float, fl
     left = np.linalg.norm(found.left_px, axis=1)
     assert left[[3, 8]].min() > 15 and np.delete(left, [3, 8]).max() < 1
     still = [(*view, replace(match, peak_px=(0.2, -0.1))) for *view, match in views]
-    assert common_mistake(still) is None
+    assert common_error(still) is None
 
 
 def test_a_wrong_focal_length_is_reported_once() -> None:

@@ -3,8 +3,8 @@
 
 In each view, it checks the share, side and distance of the visible mesh, black or clipped photographs, and
 the shift between the edges of mesh and photograph (``check.edges``). Over all views, it checks whether a
-common offset and scale of the mesh explain the shifts (``check.registration``) and, if edges do not coincide
-at all, whether another up axis or unit fits better. Every warning names its views and a remedy.
+common offset and scale of the mesh explain the shifts (``check.judgement``) and, if edges do not match at
+all, whether another up axis or unit fits better. Every warning names its views and a remedy.
 """
 
 from __future__ import annotations

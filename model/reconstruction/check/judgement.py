@@ -53,12 +53,11 @@ class Registration:
         return offset + (self.scale - 1) * (position_m - self.center_m)
 
 
-def common_mistake(views: Sequence[tuple[Camera, float, EdgeMatch]]) -> Registration | None:
+def common_error(views: Sequence[tuple[Camera, float, EdgeMatch]]) -> Registration | None:
     """Estimate the offset and scale of the mesh that best explain all shifts; None if insignificant.
 
-    A view is its camera, its mean edge depth in metres, and the match of its edges.
-
-    Least squares are robust to single wrong views. Scale is estimated from eight views or more.
+    ``views``: camera, mean edge depth in metres, and match of the edges of each view. Robust least squares
+    tolerate single wrong views; the scale is estimated from eight views or more.
     """
     if len(views) < _MIN_VIEWS:
         return None
@@ -143,11 +142,11 @@ def judge(report: CheckReport, looks: Sequence[Look]) -> None:
         )
         return  # a wrong scale shifts the edges in all views, so shifts do not indicate other errors
     pairs = [(view, look) for view, look in zip(report.views, looks, strict=True) if view.is_judged]
-    mistake = common_mistake(
+    registration = common_error(
         [(look.camera, view.depth_m, view.edges) for view, look in pairs if view.edges is not None]
     )
-    report.offset_m = None if mistake is None else mistake.offset_m
-    report.scale = 1.0 if mistake is None else mistake.scale
+    report.offset_m = None if registration is None else registration.offset_m
+    report.scale = 1.0 if registration is None else registration.scale
     names = ", ".join(view.name for view, _ in pairs[:_MAX_LISTED])
     if len(pairs) > _MAX_LISTED:
         names += f" and {len(pairs) - _MAX_LISTED} more views"
@@ -163,9 +162,9 @@ def judge(report: CheckReport, looks: Sequence[Look]) -> None:
             f"scale it by {1 / report.scale:.4f} about the cameras' mean position"
         )
     left_px = {view.name: view.edges.peak_px for view, _ in pairs if view.edges is not None}
-    if mistake is not None:
-        left_px = dict(zip(left_px, mistake.left_px, strict=True))
-    _judge_zooms(report, looks, mistake)
+    if registration is not None:
+        left_px = dict(zip(left_px, registration.left_px, strict=True))
+    _judge_zooms(report, looks, registration)
     is_fitting = len(pairs) >= 0.5 * len(with_edges)
     for view, look in zip(report.views, looks, strict=True):
         if view.edges is not None and not view.warnings:
@@ -183,7 +182,7 @@ def _common_zoom(report: CheckReport) -> float | None:
     return 1 + middle if abs(middle) >= _MIN_ZOOM and is_common else None
 
 
-def _judge_zooms(report: CheckReport, looks: Sequence[Look], mistake: Registration | None) -> None:
+def _judge_zooms(report: CheckReport, looks: Sequence[Look], registration: Registration | None) -> None:
     """Add warnings to views whose cameras are rolled, or too far forward or backward."""
     zoomed = []
     for view, look in zip(report.views, looks, strict=True):
@@ -191,8 +190,10 @@ def _judge_zooms(report: CheckReport, looks: Sequence[Look], mistake: Registrati
         if warp is None or view.warnings or warp.at_peak < SURE:
             continue
         moved = 0.0
-        if mistake is not None:
-            moved = float(mistake.moved_m(look.camera.position_m) @ look.camera.forward) / view.zoom_depth_m
+        if registration is not None:
+            moved = (
+                float(registration.moved_m(look.camera.position_m) @ look.camera.forward) / view.zoom_depth_m
+            )
         is_rolled = warp.roll_gain >= _SURE_GAIN and abs(warp.roll_rad) >= _MIN_ROLL_RAD
         excess = abs(warp.zoom - 1 - moved)
         is_zoomed = warp.zoom_gain >= _SURE_GAIN and excess >= max(_MIN_ZOOM, 0.5 * abs(warp.zoom - 1))
@@ -217,7 +218,7 @@ def _judge_zooms(report: CheckReport, looks: Sequence[Look], mistake: Registrati
 def _judge_shift(view: ViewCheck, look: Look, left_px: tuple[float, float] | None, is_fitting: bool) -> None:
     """Add a warning to a view whose edges are shifted too far or do not match.
 
-    ``left_px``: the shift (dx, dy) that the common error does not explain, None if the shift is ambiguous.
+    ``left_px``: the shift (dx, dy) left by the common error, None if ambiguous.
     """
     assert view.edges is not None
     is_lost = left_px is None
