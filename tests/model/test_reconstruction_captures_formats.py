@@ -22,7 +22,7 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
-from model.reconstruction.captures.frames import AXES, judged_unit, judged_up, level_rotation, z_up_from
+from model.reconstruction.captures.frames import AXES, estimated_unit, estimated_up, level_rotation, z_up_from
 from model.reconstruction.captures.options import CaptureOptions
 from model.reconstruction.captures.photographs import PhotographSource, lens_pixels
 from model.reconstruction.captures.read import read_capture
@@ -409,14 +409,14 @@ def test_up_is_estimated_from_the_cameras() -> None:
             matrix = np.eye(4)
             matrix[:3, :3], matrix[:3, 3] = turned @ rotation.T, turned @ center
             cameras.append(Camera(*SIZE, 500, 500, 300, 200, matrix))
-        found, note = judged_up(cameras)
+        found, note = estimated_up(cameras)
         assert found == up and f"up: {up}" in note
     tilted = Rotation.from_euler("x", 45, degrees=True).as_matrix()
     oblique = [
         Camera(*SIZE, 500, 500, 300, 200, np.block([[tilted @ r.T, np.zeros((3, 1))], [0, 0, 0, 1]]))
         for r, _ in poses()
     ]
-    assert judged_up(oblique)[0] == "z" and "set it with --up" in judged_up(oblique)[1]
+    assert estimated_up(oblique)[0] == "z" and "set it with --up" in estimated_up(oblique)[1]
 
 
 def test_a_tilted_world_is_levelled_with_the_cameras() -> None:
@@ -452,7 +452,7 @@ def test_a_tilted_world_is_levelled_with_the_cameras() -> None:
     ("size", "unit"), [(7.0, 1.0), (95.0, 1.0), (650.0, 0.01), (6500.0, 0.001), (0.2, 1.0)]
 )
 def test_unit_is_estimated_from_the_mesh(size: float, unit: float) -> None:
-    found, note = judged_unit(size)
+    found, note = estimated_unit(size)
     assert found == unit and "--unit" in note
     assert ("small for a room" in note) == (size < 1)
 

@@ -81,7 +81,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     for lens_id in sorted({lens_id for lens_id, _, _ in poses.values()} & set(lenses)):
         usable[lens_id] = None
         with reading.part():
-            usable[lens_id] = _unposed(lenses[lens_id], cameras, f"camera {lens_id}")
+            usable[lens_id] = _image_at_origin(lenses[lens_id], cameras, f"camera {lens_id}")
     for name, (lens_id, quaternion, translation) in sorted(poses.items()):
         if lens_id not in lenses:
             reading.problems.append(
@@ -117,7 +117,7 @@ def rotation_of(quaternion: NDArray) -> NDArray[np.float64]:
     )
 
 
-def _unposed(lens: _Lens, where: Path, field: str) -> PosedImage:
+def _image_at_origin(lens: _Lens, where: Path, field: str) -> PosedImage:
     """Convert a COLMAP lens to an unnamed image from the origin.
 
     Raises :class:`InputError`, which names ``field``, for unsupported models and invalid parameters.

@@ -70,7 +70,7 @@ def up_of(matrix: ArrayLike) -> Axis:
     return AXES[at if row[at] > 0 else at + 3]
 
 
-def judged_up(cameras: Sequence[Camera]) -> tuple[Axis, str]:
+def estimated_up(cameras: Sequence[Camera]) -> tuple[Axis, str]:
     """Estimate the up axis from the cameras, 'z' by default; also return a message about it for the user."""
     mean = np.mean([-camera.world_from_camera[:3, 1] for camera in cameras], axis=0)
     length = float(np.linalg.norm(mean))
@@ -82,7 +82,7 @@ def judged_up(cameras: Sequence[Camera]) -> tuple[Axis, str]:
     return "z", f"up: z by default; no axis is near the cameras' mean up direction ({text}); set it with --up"
 
 
-def judged_unit(diagonal: float) -> tuple[float, str]:
+def estimated_unit(diagonal: float) -> tuple[float, str]:
     """Estimate the metres per unit of a mesh from the diagonal of its bounding box; also return a message."""
     unit = 1.0
     if np.isfinite(diagonal) and diagonal > _LARGEST_ROOM:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reads the sensors of a Mitsuba scene in the scene's frame; each image has the name of its sensor's id."""
+"""Reads the sensors of a Mitsuba scene in the scene's frame; images are named by sensor id."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Reads captures from environment packages, with photographs next to the package.
 
-The Blender add-on exports such packages, so a scene modelled from photographs needs no other export. A
-photograph has the name of its camera.
+The Blender add-on exports such packages, so a scene modelled from photographs needs no other export.
+Photographs are named after their cameras.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def is_package(path: Path) -> bool:
 def read_package(
     path: Path, images: Path | None, encoding: Encoding, budget: Budget, exposure: Exposure = "common"
 ) -> Capture:
-    """Read a capture that consists of the package's cameras that have a photograph.
+    """Read a capture of the package's cameras that have a photograph.
 
     ``images`` is by default the folder ``photographs`` or ``images`` in the package or next to it. Raises
     :class:`InputError` if no camera has a photograph.

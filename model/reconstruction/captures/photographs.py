@@ -33,7 +33,7 @@ PAPER_GAMMA = 2.2
 CLIPPED_LEVEL = 0.96
 """Linear value from which a pixel counts as clipped; JPEG stores clipped pixels a few steps below 1."""
 MIN_CLIPPED_SHARE = 0.02
-"""Share of clipped pixels in a resampled pixel above which it counts as clipped."""
+"""Share of clipped pixels in a resampled pixel numerator which it counts as clipped."""
 _EXIF_ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
 _EXPOSURE_TIME, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
 _QUARTER_TURNS = {3: 2, 4: 2, 5: 1, 6: 1, 7: 3, 8: 3}  # clockwise, to turn a stored image upright
@@ -96,10 +96,10 @@ def relative_exposure(path: Path) -> float | None:
             values = [tags.get(tag) for tag in (_EXPOSURE_TIME, _F_NUMBER, _ISO)]
             values = [value[0] if isinstance(value, tuple) else value for value in values]
             time_s, f_number, iso = (float(value) for value in values if value is not None)
-        gathered = time_s * iso / f_number**2
+        relative = time_s * iso / f_number**2
     except Exception:  # unreadable EXIF counts as missing, and Pillow may raise any exception of its parsers
         return None
-    return gathered if f_number > 0 and np.isfinite(gathered) and gathered > 0 else None
+    return relative if f_number > 0 and np.isfinite(relative) and relative > 0 else None
 
 
 def exposure_scales(images: Sequence[Path], exposure: Exposure) -> list[float]:
@@ -108,17 +108,17 @@ def exposure_scales(images: Sequence[Path], exposure: Exposure) -> list[float]:
     All factors are 1 if ``exposure`` is "common", or if any photograph has no record; if ``exposure`` is
     "exif", raises :class:`InputError` with all of these photographs.
     """
-    gathered = [None if exposure == "common" else relative_exposure(image) for image in images]
+    recorded = [None if exposure == "common" else relative_exposure(image) for image in images]
     problems = [
         Problem(image, "EXIF", "no exposure time, aperture or ISO", "all three", "use --exposure common")
-        for image, value in zip(images, gathered, strict=True)
+        for image, value in zip(images, recorded, strict=True)
         if value is None
     ]
     if problems and exposure == "exif":
         raise InputError(*problems)
     if problems:
-        return [1.0] * len(gathered)
-    values = np.array(gathered, dtype=np.float64)
+        return [1.0] * len(recorded)
+    values = np.array(recorded, dtype=np.float64)
     return [float(value) for value in np.median(values) / values]
 
 
@@ -130,23 +130,23 @@ def upright(pixels: NDArray, orientation: int) -> NDArray:
     return np.ascontiguousarray(np.flip(pixels, flips)) if flips else np.ascontiguousarray(pixels)
 
 
-def _has_shape_of(width: int, height: int, camera: Camera) -> bool:
+def _has_aspect_of(width: int, height: int, camera: Camera) -> bool:
     return abs(width * camera.height_px - height * camera.width_px) <= _ASPECT_SLACK_PX * camera.width_px
 
 
 def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
-    """Return the stored image (H, W, C), rotated upright if it has the camera's aspect ratio only then.
+    """Return the stored image (H, W, C), rotated upright if only that has the camera's aspect ratio.
 
     Calibration tools differ in whether they apply the EXIF orientation. Raises :class:`InputError` if neither
     image has the camera's aspect ratio.
     """
-    if _has_shape_of(pixels.shape[1], pixels.shape[0], camera):
+    if _has_aspect_of(pixels.shape[1], pixels.shape[0], camera):
         return pixels
     turned = upright(pixels, exif_orientation(path))
-    if _has_shape_of(turned.shape[1], turned.shape[0], camera):
+    if _has_aspect_of(turned.shape[1], turned.shape[0], camera):
         return turned
     got = f"{pixels.shape[1]}x{pixels.shape[0]}"
-    expected = f"the shape of its camera, {camera.width_px}x{camera.height_px}"
+    expected = f"the aspect ratio of its camera, {camera.width_px}x{camera.height_px}"
     raise input_error(path, "size", got, expected, "use the calibrated images, uncropped")
 
 
@@ -157,7 +157,7 @@ def upright_pose(camera: Camera, path: Path) -> NDArray[np.float64]:
     """
     pose = camera.world_from_camera.copy()
     turns = _QUARTER_TURNS.get(exif_orientation(path), 0)
-    if turns and _has_shape_of(*photograph_size(path), camera):
+    if turns and _has_aspect_of(*photograph_size(path), camera):
         pose[:3, :2] = pose[:3, :2] @ np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), turns)
     return pose
 
@@ -265,8 +265,8 @@ def _radial(distortion: Distortion, r2: NDArray[np.float64]) -> NDArray[np.float
     k[: len(distortion.coefficients)] = distortion.coefficients
     if distortion.model == "polynomial":
         return 1 + r2 * (k[0] + r2 * (k[1] + r2 * (k[4] + r2 * k[5])))
-    above = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
-    return above / (1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
+    numerator = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+    return numerator / (1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
 
 
 def _is_beyond_fold(distortion: Distortion | None, r: NDArray) -> NDArray[np.bool_]:

@@ -36,7 +36,7 @@ def read_raw(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
     try:
         with rawpy.imread(str(path)) as raw:
             if raw.raw_type != rawpy.RawType.Flat:
-                got, expected = "no mosaic of sensor values", "a raw photograph with one value a pixel"
+                got, expected = "no mosaic of sensor values", "a raw photograph with one value per pixel"
                 raise input_error(path, "", got, expected, "develop it to 16-bit TIFF without curves")
             stored = np.asarray(raw.raw_image_visible, np.float32)
             pattern = np.asarray(raw.raw_colors_visible)
@@ -58,7 +58,7 @@ def read_raw(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
     clipped = cv2.dilate(at_limit.astype(np.uint8), np.ones((_REACH_PX, _REACH_PX), np.uint8)) > 0
     if clipped.shape != pixels.shape[:2]:
         got = f"{pixels.shape[1]}x{pixels.shape[0]} of {clipped.shape[1]}x{clipped.shape[0]} sensor values"
-        raise input_error(path, "size", got, "a pixel for each", "develop it to 16-bit TIFF without curves")
+        raise input_error(path, "size", got, "a pixel per value", "develop it to 16-bit TIFF without curves")
     return np.ascontiguousarray(np.rot90(pixels, turns)), np.ascontiguousarray(np.rot90(clipped, turns))
 
 
@@ -83,10 +83,10 @@ def raw_exposure(path: Path) -> float | None:
     try:
         with rawpy.imread(str(path)) as raw:
             other = raw.other
-            gathered = other.shutter_speed * other.iso_speed / other.aperture**2
+            relative = other.shutter_speed * other.iso_speed / other.aperture**2
     except (rawpy.LibRawError, ZeroDivisionError):  # an unreadable file is reported when its pixels are read
         return None
-    return float(gathered) if np.isfinite(gathered) and gathered > 0 else None
+    return float(relative) if np.isfinite(relative) and relative > 0 else None
 
 
 def _unreadable(path: Path, error: Exception) -> Exception:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Detects the format of a capture and reads it.
 
-A calibration format is an entry of ``FORMS`` and a module with two functions: ``find(path)`` returns the file
-or folder to read, or None; ``read(found, images, budget)`` returns a :class:`Calibration`. Photographs also
-require a mesh file; ``CaptureOptions`` defines the axes and units of cameras and mesh.
+A calibration format is an entry of ``FORMATS`` and a module with two functions: ``find(path)`` returns the
+file or folder to read, or None; ``read(found, images, budget)`` returns a :class:`Calibration`. Photographs
+also require a mesh file; ``CaptureOptions`` defines the axes and units of cameras and mesh.
 """
 
 from __future__ import annotations
@@ -46,7 +46,13 @@ from model.reconstruction.captures import (
     transforms_json,
 )
 from model.reconstruction.captures.brackets import with_brackets
-from model.reconstruction.captures.frames import judged_unit, judged_up, level_rotation, up_of, z_up_from
+from model.reconstruction.captures.frames import (
+    estimated_unit,
+    estimated_up,
+    level_rotation,
+    up_of,
+    z_up_from,
+)
 from model.reconstruction.captures.mesh_file import find_mesh, load_mesh, sound_mesh
 from model.reconstruction.captures.options import Axis, CaptureOptions
 from model.reconstruction.captures.package import is_package, read_package
@@ -56,7 +62,7 @@ from model.reconstruction.captures.rendered import library_of, read_shard
 
 Finder = Callable[[Path], Path | None]
 Reader = Callable[[Path, Path | None, Budget], Calibration]
-FORMS: dict[str, tuple[Finder, Reader]] = {
+FORMATS: dict[str, tuple[Finder, Reader]] = {
     "OpenMVG": (openmvg.find, openmvg.read),
     "transforms.json": (transforms_json.find, transforms_json.read),
     "Metashape": (metashape.find, metashape.read),
@@ -76,7 +82,7 @@ _UNUSED: dict[_Kind, tuple[str, ...]] = {
     "an environment package": ("library", "mesh", "mesh_up", "up", "unit_m"),
     "cameras with photographs": ("library",),
 }
-"""Options without meaning by kind of capture; a shard, ``capture.json`` and a package state them."""
+"""Options that do not apply, by kind of capture, since the capture itself determines them."""
 
 
 def refuse_unused(path: Path, options: CaptureOptions) -> None:
@@ -106,7 +112,7 @@ def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
     """Read the capture at ``path``. Raises :class:`InputError` with its faults, or if its format is unknown.
 
     Known formats are a shard (.tar) or a dataset folder with one shard, ``capture.json`` or its folder, an
-    environment package with cameras, and those of ``FORMS``.
+    environment package with cameras, and those of ``FORMATS``.
     """
     options = options or CaptureOptions()
     budget = Budget(path, options.limits)
@@ -166,9 +172,9 @@ def _calibrated(
     """Make the content of ``capture.json``, with absolute paths, for calibrated photographs at ``path``; also
     return notes for the user, and the mesh in its own frame if the unit was estimated from it.
     """
-    form, found = _form_of(path)
+    format_name, found = _format_of(path)
     try:
-        calibration = FORMS[form][1](found, options.images, budget)
+        calibration = FORMATS[format_name][1](found, options.images, budget)
     except ValidationError as error:  # invalid cameras or lenses
         raise InputError(*problems_of(found, error)) from None
     if options.images is None and calibration.folder.is_symlink():
@@ -176,7 +182,7 @@ def _calibrated(
         raise input_error(calibration.folder, "", got, "a folder", "name it with --images")
     mesh = options.mesh.resolve() if options.mesh is not None else find_mesh(path)
     where = found.relative_to(path).as_posix() if found != path and found.is_relative_to(path) else found.name
-    kind = "" if where == form else f" ({form})"
+    kind = "" if where == format_name else f" ({format_name})"
     notes = [f"{len(calibration.images)} cameras in {where}{kind}", *calibration.notes]
     finder = ImageFinder(calibration.folder)
     files = [finder.find(image.file) for image in calibration.images]
@@ -186,7 +192,7 @@ def _calibrated(
     if unit_m is None:
         loaded = load_mesh(mesh, budget)
         size = np.ptp(loaded.positions, axis=0) if len(loaded.positions) else np.zeros(3)
-        unit_m, note = judged_unit(float(np.linalg.norm(size)))
+        unit_m, note = estimated_unit(float(np.linalg.norm(size)))
         notes.append(note)
     elif not (np.isfinite(unit_m) and unit_m > 0):
         raise input_error("--unit", "", unit_m, "metres per unit, above 0", "correct it")
@@ -201,10 +207,11 @@ def _calibrated(
         below = file.relative_to(root) if file.is_relative_to(root) else Path(file.name)
         name = unique(slug(below.with_suffix("").as_posix()), names)
         names.add(name)
-        given = image.camera
-        pose = affine(rotation @ given.world_from_camera[:3, :3], unit_m * rotation @ given.position_m)
+        pose = affine(
+            rotation @ image.camera.world_from_camera[:3, :3], unit_m * rotation @ image.camera.position_m
+        )
         try:
-            camera = ViewCamera.from_camera(name, replace(given, world_from_camera=pose))
+            camera = ViewCamera.from_camera(name, replace(image.camera, world_from_camera=pose))
         except ValidationError as error:
             problems += problems_of(f"{found}: {image.file}", error)
             continue
@@ -212,8 +219,8 @@ def _calibrated(
     problems += finder.absent(path, missing, "name its folder with --images")
     raise_problems(problems)
     scales = exposure_scales([Path(photograph.image) for photograph in photographs], options.exposure)
-    of_mesh = rotation if options.mesh_up == "same" else z_up_from(options.mesh_up)
-    matrix = affine(unit_m * of_mesh)
+    mesh_rotation = rotation if options.mesh_up == "same" else z_up_from(options.mesh_up)
+    matrix = affine(unit_m * mesh_rotation)
     rows = tuple(tuple(float(v) for v in row) for row in matrix)
     record = CaptureFile(
         name=slug(path.resolve().name.removesuffix(".json") or "capture"),
@@ -235,27 +242,27 @@ def _rotation(
     """
     if up != "auto" and up != "cameras":
         return z_up_from(up), []
-    held = [
+    upright = [
         replace(camera, world_from_camera=upright_pose(camera, file)) if file else camera
         for camera, file in zip(cameras, files, strict=True)
     ]
     if up == "cameras":
-        return level_rotation(held), []
-    axis, note = judged_up(held)
+        return level_rotation(upright), []
+    axis, note = estimated_up(upright)
     return z_up_from(axis), [note]
 
 
 def has_cameras(path: Path) -> bool:
     """Return whether ``path`` has a known capture format; its content is not checked."""
-    return _kind_of(path) is not None or any(find(path) is not None for find, _ in FORMS.values())
+    return _kind_of(path) is not None or any(find(path) is not None for find, _ in FORMATS.values())
 
 
-def _form_of(path: Path) -> tuple[str, Path]:
-    for form, (find, _) in FORMS.items():
+def _format_of(path: Path) -> tuple[str, Path]:
+    for name, (find, _) in FORMATS.items():
         found = find(path)
         if found is not None:
-            return form, found
-    expected = f"a shard, capture.json, an environment package or {', '.join(FORMS)}"
+            return name, found
+    expected = f"a shard, capture.json, an environment package or {', '.join(FORMATS)}"
     got = "no known format" if path.exists() else "no such file or folder"
     raise input_error(path, "", got, expected, "check the path")
 

@@ -147,7 +147,7 @@ def _camera(
 
 
 def read_xmp(folder: Path, images: Path | None, budget: Budget) -> Calibration:
-    """Read the calibration of every sidecar with a pose; an image has the name of its sidecar.
+    """Read the calibration of every sidecar with a pose; images are named after their sidecars.
 
     Raises :class:`InputError` with all faults.
     """
