@@ -41,7 +41,7 @@ NUM_POINTS, NUM_RAYS = 4096, 400
 FULL_COVERAGE, NO_COVERAGE = 0.8, 0.4
 """Range of the cosine-weighted photographed share of a point's hemisphere over which its weight decreases
 from 1 to 0."""
-LITTLE_DOUBT, NO_DOUBT = 0.15, 0.6
+FULL_WEIGHT_DOUBT, NO_WEIGHT_DOUBT = 0.15, 0.6
 """Range of the uncertain share of a point's light over which its weight decreases from 1 to 0."""
 MIN_POINTS, MIN_USED = 200, 0.3
 """Minimum number of points, and minimum of their mean weight, for a correction."""
@@ -125,15 +125,15 @@ def find_level(
     chosen = np.sort(np.random.default_rng(0).permutation(len(surfels))[:NUM_POINTS])
     position, normal = surfels.position_m[chosen], surfels.normal[chosen]
 
-    def lit_by(surfels: Surfels, background: Background) -> Irradiance:
+    def irradiance_from(surfels: Surfels, background: Background) -> Irradiance:
         field = RadianceField(traced.scene, surfel_cells(surfels), emitters, background)
         return Baker(field, CELLS_ACROSS * grid.cell_m).irradiance(position, normal, NUM_RAYS)
 
-    lit = lit_by(surfels, background)
+    lit = irradiance_from(surfels, background)
     no_surfels = replace(surfels, radiance=np.zeros_like(surfels.radiance))
     no_background = replace(background, radiance=np.zeros_like(background.radiance))
-    by_lamps = lit_by(no_surfels, no_background).diffuse
-    # unknown directions have the mean radiance of known ones without lamps, which are known as a whole
+    by_lamps = irradiance_from(no_surfels, no_background).diffuse
+    # directions of unknown radiance get the mean of known ones without lamps, since all lamps are known
     shading = by_lamps + (lit.diffuse - by_lamps) / np.maximum(lit.known, 1e-3)[:, None]
     reflected = surfel_means(surfels, [m["diffuse_albedo"] + m["specular_albedo"] for m in maps])[chosen]
     points = Points(
@@ -142,13 +142,12 @@ def find_level(
         reflected.astype(np.float64),
         region_of_face[surfels.face[chosen]].astype(np.int64),
     )
-    sure = np.ones(len(chosen))
+    certainty = np.ones(len(chosen))
     if doubt_at is not None:
-        unsure = (
-            np.pi * doubt_at(position, normal) / np.maximum(points.irradiance @ LUMINANCE_WEIGHTS, 1e-300)
-        )
-        sure = np.clip((NO_DOUBT - unsure) / (NO_DOUBT - LITTLE_DOUBT), 0, 1)
-    return fit_level(points, lit.photographed.astype(np.float64), num_regions, clipped, sure)
+        arriving = np.maximum(points.irradiance @ LUMINANCE_WEIGHTS, 1e-300)
+        doubt = np.pi * doubt_at(position, normal) / arriving
+        certainty = np.clip((NO_WEIGHT_DOUBT - doubt) / (NO_WEIGHT_DOUBT - FULL_WEIGHT_DOUBT), 0, 1)
+    return fit_level(points, lit.photographed.astype(np.float64), num_regions, clipped, certainty)
 
 
 def fit_level(
@@ -156,14 +155,13 @@ def fit_level(
     coverage: Floats,
     num_regions: int,
     clipped_share: float,
-    sure: Floats | float = 1.0,
+    certainty: Floats | float = 1.0,
 ) -> AlbedoLevel:
-    """Fit gains to points of whose hemispheres the cosine-weighted share ``coverage`` (N,) is photographed.
-
-    ``sure`` (N,) in [0, 1] is a further weight of the points.
+    """Fit gains to points, weighted by the cosine-weighted photographed share ``coverage`` (N,) of their
+    hemispheres and by the ``certainty`` (N,) of their light, in [0, 1].
     """
     arriving = points.irradiance
-    weight = np.clip((coverage - NO_COVERAGE) / (FULL_COVERAGE - NO_COVERAGE), 0, 1) * sure
+    weight = np.clip((coverage - NO_COVERAGE) / (FULL_COVERAGE - NO_COVERAGE), 0, 1) * certainty
     leaving = points.radiance @ LUMINANCE_WEIGHTS
     weight[(arriving @ LUMINANCE_WEIGHTS <= 0) | (leaving <= _MIN_RADIANCE * np.median(leaving))] = 0
     used = weight > 0
@@ -181,10 +179,10 @@ def fit_level(
     found["impossible_share"] = float(weight[excess].sum() / weight.sum())
     wanted = np.log(np.maximum(rho[used], 1e-6)) - np.log(np.maximum(points.reflected[used], _MIN_REFLECTED))
     gains, rest = np.ones((num_regions, 3)), np.zeros_like(wanted)
-    rooms = np.zeros(3)
+    of_room = np.zeros(3)
     for channel in range(3):
-        rooms[channel], own = _modes(wanted[:, channel], weight[used], region, len(regions))
-        gains[:, channel] = np.exp(rooms[channel])
+        of_room[channel], own = _modes(wanted[:, channel], weight[used], region, len(regions))
+        gains[:, channel] = np.exp(of_room[channel])
         gains[regions, channel] = np.exp(own)
         rest[:, channel] = wanted[:, channel] - own[region]
     green = 1  # green dominates luminance
@@ -193,7 +191,7 @@ def fit_level(
         "region_spread": 0.5 * interquartile_range(np.log(gains[regions, green])[region], weight[used]),
         "regions_used": len(regions),
     }
-    gain = (float(np.exp(rooms[0])), float(np.exp(rooms[1])), float(np.exp(rooms[2])))
+    gain = (float(np.exp(of_room[0])), float(np.exp(of_room[1])), float(np.exp(of_room[2])))
     low, high = IMPOSSIBLE
     trust = float(np.clip((high - found["impossible_share"]) / (high - low), 0, 1))
     reason = ""
@@ -222,7 +220,7 @@ class Points:
 def _modes(
     values: Floats, weight: Floats, region: NDArray[np.int64], num_regions: int
 ) -> tuple[float, Floats]:
-    """Compute the mode of the room and the modes (num_regions,) of its regions for ``values`` (N,) of points.
+    """Compute the modes of ``values`` (N,) over the room and over each of its regions (num_regions,).
 
     They maximise the likelihood under Student's t of points about their region and of regions about the room.
     """
@@ -258,7 +256,7 @@ def interquartile_range(values: Floats, weight: Floats) -> float:
 
 
 def leveled(traced: TracedCapture, estimate: Estimate, run: Run) -> Estimate:
-    """Correct the albedo scale of the maps, unless evidence is weak; files on disk keep the prediction."""
+    """Correct the albedo scale of the maps unless evidence is weak; files keep the predictions."""
     with run.stage("level"):
         views, geometry = traced.views, traced.geometry
         is_lamp, region_of_face = traced.capture.geometry.emitter_mask(), smooth_regions(geometry.mesh)
