@@ -56,10 +56,10 @@ class Atlas:
         """Release the memory of memory-mapped arrays; the next access reads them from disk again."""
         for array in (*self.maps.values(), self.count, self.face, self.confidence):
             if array is not None:
-                let_go(array)
+                release_memory(array)
 
 
-def let_go(array: NDArray) -> None:
+def release_memory(array: NDArray) -> None:
     """Release the memory of an array if it is memory-mapped."""
     if isinstance(array.base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
         array.base.madvise(mmap.MADV_DONTNEED)

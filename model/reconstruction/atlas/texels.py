@@ -58,8 +58,7 @@ class TexelSurface:
         Where triangles overlap, the index is the highest or, without ``is_highest``, the lowest.
         """
         face = np.full((height, width), -1, np.int32)
-        around = (left, top, *offset, is_highest)
-        _rasterise(self.uv, self.vertices, self.size, *self._bins, *around, face)
+        _rasterise(self.uv, self.vertices, self.size, *self._bins, left, top, *offset, is_highest, face)
         return face
 
     def points(self, face: NDArray[np.int32], left: int, top: int) -> tuple[NDArray, NDArray]:

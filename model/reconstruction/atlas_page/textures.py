@@ -99,12 +99,12 @@ def _color_bytes(package: Package, channel: object, max_side: int) -> tuple[NDAr
     if not isinstance(channel, Texture):
         return quantized_bytes(srgb_from_linear(np.array(channel, np.float64).reshape(1, 1, 3))), 1
     pixels = _pixels(package, channel)
-    is_stored_so = (
+    is_stored_encoded = (
         pixels.dtype == np.uint8
         and pixels.shape[2] == 3
         and (channel.encoding, channel.channel, channel.scale, channel.offset) == ("srgb", "rgb", 1, 0)
     )
-    if not is_stored_so:
+    if not is_stored_encoded:
         pixels = quantized_bytes(srgb_from_linear(texture_values(channel, pixels, is_scalar=False)))
     return shrunk(pixels, max_side, is_color=True), max(pixels.shape[:2])
 

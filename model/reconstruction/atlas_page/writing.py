@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset
 from datagen.formats.base import write_bytes_atomically
@@ -84,11 +83,11 @@ def write_view(
                 for image in material_images(package, material, own, max_side):
                     name = f"{number}-{image.kind}"
                     described["images"].append([name, image.kind, *image.pixels.shape[1::-1]])
-                    previews[name] = _text(image.png(PREVIEW_SIDE))
+                    previews[name] = _base64(image.png(PREVIEW_SIDE))
                     progress(len(previews), 3 * len(shown))
                     if max(image.pixels.shape) > PREVIEW_SIDE:
                         large.add(out / "data" / f"{name}.js")
-                        _write_script(out / "data" / f"{name}.js", f'images["{name}"]', _text(image.png()))
+                        _write_script(out / "data" / f"{name}.js", f'images["{name}"]', _base64(image.png()))
                     if image.original_side > max_side:
                         texels = f"{max_side} of {image.original_side} texels a side"
                         notes.append(f"{slot}: {image.kind} is shown at {texels}")
@@ -141,15 +140,11 @@ def _meshes_by_material(package: Package, asset: EnvironmentAsset | ObjectAsset)
 def _encode_mesh(mesh: Mesh) -> dict[str, str]:
     assert mesh.normals is not None and mesh.uv is not None
     return {
-        "positions": _base64(mesh.positions, "<f4"),
-        "normals": _base64(mesh.normals, "<f4"),
-        "uv": _base64(mesh.uv, "<f4"),
-        "faces": _base64(mesh.faces, "<u4"),
+        "positions": _base64(mesh.positions.astype("<f4").tobytes()),
+        "normals": _base64(mesh.normals.astype("<f4").tobytes()),
+        "uv": _base64(mesh.uv.astype("<f4").tobytes()),
+        "faces": _base64(mesh.faces.astype("<u4").tobytes()),
     }
-
-
-def _base64(array: NDArray, dtype: str) -> str:
-    return base64.b64encode(np.ascontiguousarray(array, dtype).tobytes()).decode()
 
 
 def _bounds(meshes: list[Mesh]) -> list[list[float]]:
@@ -173,8 +168,8 @@ def _cameras(asset: EnvironmentAsset | ObjectAsset) -> list[dict[str, Any]]:
     return found
 
 
-def _text(png: bytes) -> str:
-    return base64.b64encode(png).decode()
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode()
 
 
 def _write_script(path: Path, name: str, data: Any) -> None:

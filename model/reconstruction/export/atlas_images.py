@@ -22,7 +22,7 @@ from datagen.foundation.durable import publish
 from datagen.foundation.images import encode_png, quantized_bytes
 from datagen.foundation.peak_memory import num_threads
 from datagen.foundation.progress import Advance, no_advance
-from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas, let_go
+from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas, release_memory
 
 BAND = 1024
 """Number of rows of an atlas that are converted at once."""
@@ -42,7 +42,7 @@ def map_bytes(name: str, array: NDArray) -> NDArray[np.uint8]:
     for top in range(0, array.shape[0], BAND):
         band = np.ascontiguousarray(array[top : top + BAND], np.float16)
         stored[top : top + BAND] = table[band.view(np.uint16)]
-        let_go(array)
+        release_memory(array)
     return stored
 
 
