@@ -96,7 +96,7 @@ def infer(
     typer.echo(
         f"{report.num_views} views, {report.num_triangles} triangles, UVs from {unwrap['source']}, atlas "
         f"{report.atlas_size} x {report.atlas_size} "
-        f"({report.atlas_size / unwrap['metres_per_side']:.0f} texels a metre), "
+        f"({report.atlas_size / unwrap['metres_per_side']:.0f} texels per metre), "
         f"{report.seen_of_visible:.0%} of the visible surface observed"
     )
     typer.echo(report.table())

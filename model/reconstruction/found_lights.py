@@ -142,8 +142,8 @@ class FoundLights:
         return FoundLights(tuple(lamps), panels, windows, sky, self.holes, sun)
 
     @property
-    def sending(self) -> tuple[FoundPatch, ...]:
-        """The patches with emitting rectangles: all, or only the panels if the sky replaces windows."""
+    def emitting_patches(self) -> tuple[FoundPatch, ...]:
+        """The panels, and the windows unless the sky replaces them."""
         return self.panels if self.environment is not None else (*self.panels, *self.windows)
 
     def described(self) -> list[dict[str, Any]]:

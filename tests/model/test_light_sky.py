@@ -51,7 +51,7 @@ from model.reconstruction.found_lights import (
     lights_text,
 )
 from model.reconstruction.light.found import HEIGHT, direction_vectors, directions_of, found_lights, sky_image
-from model.reconstruction.light.lamps import found_lamps, shining_patches
+from model.reconstruction.light.lamps import found_lamps, found_panels
 from model.reconstruction.light.openings import FINE, LeavingRays, found_openings
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.rectangles import cover, cut
@@ -257,7 +257,7 @@ def test_unnamed_lamp_is_found() -> None:
         return light_surfels(views, traced, emits, smooth_regions(traced.mesh), options)
 
     lit = lit_by(CaptureGeometry(named.mesh, parts))
-    (panel,) = shining_patches(lit)
+    (panel,) = found_panels(lit)
     np.testing.assert_allclose(panel.place_m, [2.0, 1.5, 2.48], atol=0.03)
     assert panel.area_m2 == pytest.approx(1.0, rel=0.1)
     power = np.array(LAMP)
@@ -268,13 +268,13 @@ def test_unnamed_lamp_is_found() -> None:
         assert np.cross(rectangle.edge_u_m, rectangle.edge_v_m)[2] < 0
         assert 2.4 < rectangle.origin_m[2] < 2.48  # between surface and room
     hardly_seen = replace(lit.irradiance, photographed=0.4 * lit.irradiance.photographed)
-    assert shining_patches(replace(lit, irradiance=hardly_seen)) == ()
+    assert found_panels(replace(lit, irradiance=hardly_seen)) == ()
     dark = lit_by(named)
-    assert shining_patches(dark) == ()  # counterpart: the lamp is named, and nothing else emits
+    assert found_panels(dark) == ()  # counterpart: the lamp is named, and nothing else emits
     # a bright panel on the floor is found, equally bright light of a hidden lamp is not
     distance = np.linalg.norm(dark.surfels.position_m - [1.2, 1.5, 0.0], axis=1)
-    assert len(shining_patches(_brightened(dark, np.where(distance < 0.4, 9.0, 1.0)))) == 1
-    assert shining_patches(_brightened(dark, 1 + 8 * np.exp(-np.square(distance / 0.5)))) == ()
+    assert len(found_panels(_brightened(dark, np.where(distance < 0.4, 9.0, 1.0)))) == 1
+    assert found_panels(_brightened(dark, 1 + 8 * np.exp(-np.square(distance / 0.5)))) == ()
 
 
 def _brightened(lit: Lit, factor: NDArray) -> Lit:

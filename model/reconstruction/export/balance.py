@@ -82,7 +82,7 @@ def balanced(reconstruction: Reconstruction, samples: RadianceSamples) -> Balanc
 def _groups(lights: FoundLights) -> list[list[str]]:
     """Group the slots that share a gain: sky and windows, the sun, then others by decreasing power."""
     powers = {lamp.slot: lamp.area_m2 * sum(lamp.radiance) for lamp in lights.lamps if lamp.is_lit}
-    powers |= {patch.slot: patch.area_m2 * sum(patch.radiance) for patch in lights.sending}
+    powers |= {patch.slot: patch.area_m2 * sum(patch.radiance) for patch in lights.emitting_patches}
     groups = [[slot] for slot in sorted(powers, key=lambda slot: (-powers[slot], slot))]
     if lights.sun is not None:
         groups.insert(0, [SUN])
@@ -95,7 +95,7 @@ def _groups(lights: FoundLights) -> list[list[str]]:
 def _emitters(lights: FoundLights) -> dict[str, list[str]]:
     """Return the names of the exported emitters by slot, without dark rectangles."""
     names = {lamp.slot: [lamp.slot] for lamp in lights.lamps if lamp.is_lit}
-    for patch in lights.sending:
+    for patch in lights.emitting_patches:
         is_lit = (max(rectangle.radiance) > 0 for rectangle in patch.rectangles)
         names[patch.slot] = [f"{patch.slot}-{number}" for number, lit in enumerate(is_lit) if lit]
     far = {SKY: lights.environment is not None, SUN: lights.sun is not None}

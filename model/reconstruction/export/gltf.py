@@ -25,7 +25,7 @@ from model.reconstruction.found_lights import SUN, Color
 PUNCTUAL, STRENGTH = "KHR_lights_punctual", "KHR_materials_emissive_strength"
 SMALL_M = 0.5
 """Maximum side, in metres, of the bounding box of a lamp that is exported as a point light."""
-LUMENS_A_WATT = 683.0
+LUMENS_PER_WATT = 683.0
 """Candela per W/sr in each channel, as Blender and other programs convert intensities."""
 
 
@@ -126,7 +126,7 @@ def punctual_lights(reconstruction: Reconstruction) -> tuple[list[dict[str, Any]
             "type": "point",
             "name": name,
             "color": [c / peak for c in slot.emission],
-            "intensity": LUMENS_A_WATT * peak * float(area.sum()) / 4,
+            "intensity": LUMENS_PER_WATT * peak * float(area.sum()) / 4,
         }
         place = [float(v) for v in middle @ Z_UP_FROM_Y_UP[:3, :3]]
         nodes.append({"name": name, "translation": place, "extensions": {PUNCTUAL: {"light": len(lights)}}})
@@ -137,7 +137,9 @@ def punctual_lights(reconstruction: Reconstruction) -> tuple[list[dict[str, Any]
         color = [c / peak for c in found.sun.irradiance]
         link = {PUNCTUAL: {"light": len(lights)}}
         nodes.append({"name": SUN, "rotation": _rotation(found.sun.direction), "extensions": link})
-        lights.append({"type": "directional", "name": SUN, "color": color, "intensity": LUMENS_A_WATT * peak})
+        lights.append(
+            {"type": "directional", "name": SUN, "color": color, "intensity": LUMENS_PER_WATT * peak}
+        )
     return lights, nodes
 
 

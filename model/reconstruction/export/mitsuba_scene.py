@@ -43,7 +43,7 @@ def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction, *, has_sen
     scene = ElementTree.Element("scene", version="3.0.0")
     _add(scene, "integrator", "path", ("integer", "max_depth", 8))
     slots, found = export_slots(reconstruction), reconstruction.shining_lights
-    patches = patch_meshes(found.sending) if found is not None else {}
+    patches = patch_meshes(found.emitting_patches) if found is not None else {}
     ids = {_MATERIAL, SKY, SUN, *slots, *patches}
     for view in reconstruction.capture.views if has_sensors else ():
         sensor_id = unique(view.name, ids)

@@ -92,7 +92,7 @@ def _as_lights(found: FoundLights) -> tuple[Light, ...]:
             edge_v_m=rectangle.edge_v_m,
             radiance=rectangle.radiance,
         )
-        for patch in found.sending
+        for patch in found.emitting_patches
         for number, rectangle in enumerate(patch.rectangles)
     )
     far: list[Light] = []
@@ -132,13 +132,13 @@ def export_slots(reconstruction: Reconstruction) -> dict[str, Slot]:
             is_surface &= ~chosen
             shape = mesh.submesh(chosen)
             lamps[lamp.slot] = Slot(
-                turned(shape) if lamp.side < 0 else shape, lamp.radiance, not lamp.is_named
+                flipped(shape) if lamp.side < 0 else shape, lamp.radiance, not lamp.is_named
             )
     slots = {SURFACE: Slot(mesh.submesh(is_surface), None, True)} if is_surface.any() else {}
     return {**slots, **lamps}
 
 
-def turned(mesh: Mesh) -> Mesh:
+def flipped(mesh: Mesh) -> Mesh:
     """Return the mesh with reversed winding and normals."""
     faces = np.ascontiguousarray(mesh.faces[:, [0, 2, 1]])
     return Mesh(mesh.positions, faces, None if mesh.normals is None else -mesh.normals, mesh.uv)

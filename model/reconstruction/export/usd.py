@@ -165,7 +165,7 @@ class _Stage:
             light = UsdLux.MeshLightAPI.Apply(shape.GetPrim())
             light = UsdLux.LightAPI(light)
             light.CreateMaterialSyncModeAttr(UsdLux.Tokens.independent)
-            _shine(light, emission)
+            _set_radiance(light, emission)
 
     def _material(self, name: str, emission: Color | None, *, has_material: bool) -> Any:
         from pxr import Gf, Sdf, UsdShade
@@ -236,7 +236,7 @@ class _Stage:
             case AreaLight():
                 u, v = np.array(light.edge_u_m, np.float64), np.array(light.edge_v_m, np.float64)
                 size = np.linalg.norm(u), np.linalg.norm(v)
-                placed = _facing(u / size[0], -np.cross(u, v), np.array(light.origin_m) + (u + v) / 2)
+                placed = _frame(u / size[0], -np.cross(u, v), np.array(light.origin_m) + (u + v) / 2)
                 path, color = self._path(light.name), light.radiance
                 if light.shape == "disk":
                     made = UsdLux.DiskLight.Define(self.stage, path)
@@ -252,7 +252,7 @@ class _Stage:
                 made.CreateNormalizeAttr(True)
                 away, color = np.array(light.direction), light.irradiance
                 x = np.cross(np.eye(3)[np.abs(away).argmin()], -away / np.linalg.norm(away))
-                placed = _facing(x / np.linalg.norm(x), -away)
+                placed = _frame(x / np.linalg.norm(x), -away)
             case EnvironmentLight():
                 made = UsdLux.DomeLight.Define(self.stage, self._path(light.name))
                 if light.image is not None:
@@ -264,7 +264,7 @@ class _Stage:
                 return
         rows = placed.T  # USD uses row vectors
         made.AddTransformOp().Set(Gf.Matrix4d(*(float(v) for v in rows.ravel())))
-        _shine(UsdLux.LightAPI(made.GetPrim()), color)
+        _set_radiance(UsdLux.LightAPI(made.GetPrim()), color)
 
     def _path(self, name: str) -> str:
         """Return a new path for a mesh or light; names of lights may be equal as identifiers."""
@@ -273,7 +273,7 @@ class _Stage:
         return f"{ROOT}/{identifier}"
 
 
-def _facing(x: NDArray, z: NDArray, origin_m: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[np.float64]:
+def _frame(x: NDArray, z: NDArray, origin_m: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[np.float64]:
     """Return the transform (4, 4) of a frame with the unit vector ``x``, and the direction ``z``, of any
     length.
     """
@@ -281,7 +281,7 @@ def _facing(x: NDArray, z: NDArray, origin_m: ArrayLike = (0.0, 0.0, 0.0)) -> ND
     return affine(np.stack([x, np.cross(unit, x), unit], axis=1), origin_m)
 
 
-def _shine(light: Any, radiance: NDArray | Color) -> None:
+def _set_radiance(light: Any, radiance: NDArray | Color) -> None:
     """Set the radiance (irradiance of a distant light) as a colour of at most 1 times an intensity."""
     from pxr import Gf
 

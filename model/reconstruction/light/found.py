@@ -20,7 +20,7 @@ from datagen.light.lighting import Lit
 from datagen.light.sun import ANGULAR_DIAMETER_RAD
 from datagen.light.surfels import camera_row
 from model.reconstruction.found_lights import FoundLights, FoundSun, RadianceSamples, as_color
-from model.reconstruction.light.lamps import found_lamps, shining_patches
+from model.reconstruction.light.lamps import found_lamps, found_panels
 from model.reconstruction.light.openings import divide_openings, found_openings, leaving_rays
 
 NUM_SAMPLES = 1600
@@ -48,7 +48,7 @@ def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) ->
         sun = FoundSun(direction, irradiance, ANGULAR_DIAMETER_RAD)
     is_far = field.background.layout.is_far or sun is not None
     sky = sky_image(field.background) if windows and is_far else None
-    return FoundLights(lamps, shining_patches(lit), windows, sky, holes, sun)
+    return FoundLights(lamps, found_panels(lit), windows, sky, holes, sun)
 
 
 def radiance_samples(views: Sequence[TracedView], num: int = NUM_SAMPLES) -> RadianceSamples:

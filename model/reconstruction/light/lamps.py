@@ -85,8 +85,8 @@ def _lamp(
     return FoundLamp(slot, faces, side, as_color(radiance), as_color(place), total, is_named)
 
 
-def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
-    """Find the lamps ``panel-0``, ... among the surfels, in decreasing order of power."""
+def found_panels(lit: Lit) -> tuple[FoundPatch, ...]:
+    """Find the panels ``panel-0``, ... among the surfels, in decreasing order of power."""
     surfels, grid = lit.surfels, lit.surfels.grid
     sent = luminance(surfels.radiance.astype(np.float64))
     arriving = luminance(lit.diffuse.astype(np.float64))

@@ -275,8 +275,8 @@ def _window(part: NDArray[np.bool_], seen: _Squares, plane: _Plane) -> FoundPatc
     place = share @ np.stack([rectangle.corners().mean(axis=0) for rectangle in rectangles])
     radiance = share @ np.array([rectangle.radiance for rectangle in rectangles])
     scale = area_m2 / float(area.sum())
-    sending = tuple(replace(r, radiance=as_color(scale * np.array(r.radiance))) for r in rectangles)
-    return FoundPatch("", sending, as_color(place), area_m2, as_color(radiance))
+    scaled = tuple(replace(r, radiance=as_color(scale * np.array(r.radiance))) for r in rectangles)
+    return FoundPatch("", scaled, as_color(place), area_m2, as_color(radiance))
 
 
 def _rectangle(block: tuple[int, int, int, int], plane: _Plane, seen: _Squares, mean: NDArray) -> Rectangle:
