@@ -18,6 +18,6 @@ def parse_device(text: str) -> torch.device:
         raise input_error("--device", "", repr(text), "cpu, cuda or cuda:1", "correct it")
     if kind == "cuda" and int(number or 0) >= torch.cuda.device_count():
         remedy = "use --device cpu, or install a torch that is built for CUDA (see `datagen doctor`)"
-        got = f"{text}: {torch.cuda.device_count()} GPUs are seen"
+        got = f"{text}: {torch.cuda.device_count()} GPUs are found"
         raise input_error("--device", "", got, "a GPU of this machine", remedy)
     return torch.device(text)
