@@ -21,10 +21,10 @@ from datagen.light.unseen_surfaces import Regions
 from model.reconstruction.radiometry.completed import Completed, completed_views
 from model.reconstruction.radiometry.exposures import (
     Radiometry,
+    apply_response,
     find_radiometry,
+    invert_response,
     radius_squared,
-    shown,
-    unbent,
 )
 from model.reconstruction.radiometry.recovered import Gathered, Gatherer, SourceField, recovered
 from model.reconstruction.radiometry.sources import Sources, find_sources
@@ -47,7 +47,7 @@ def taken(stops: float = 0.0, curve: float = 0.0, vignetting: float = 0.0) -> li
     views = []
     for view, gain in zip(photographed_room(), gains(stops), strict=True):
         color = view.color * gain * np.exp(-vignetting * radius_squared(view))[..., None]
-        read = (LIMIT * shown(color / LIMIT, curve)).astype(np.float32)
+        read = (LIMIT * apply_response(color / LIMIT, curve)).astype(np.float32)
         views.append(replace(view, color=read, clipped_mask=color >= LIMIT, limit=LIMIT))
     return views
 
@@ -106,7 +106,7 @@ def test_response_does_not_depend_on_the_number_of_photographs() -> None:
 @pytest.mark.parametrize("curve", [-0.1, 0.08])
 def test_response_curve_is_inverted(curve: float) -> None:
     value = np.linspace(0.001, 0.999, 100)
-    np.testing.assert_allclose(unbent(shown(value, curve), curve), value, atol=1e-3)
+    np.testing.assert_allclose(invert_response(apply_response(value, curve), curve), value, atol=1e-3)
 
 
 def sky_blocks(sources: Sources) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

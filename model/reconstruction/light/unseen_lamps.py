@@ -90,9 +90,9 @@ def unseen_lamps(lit: Lit, mesh: Mesh, region: NDArray, predicted: NDArray) -> U
         shining = field.alone(sources(of_copy, radiance[copies]), radiance[copies])
         light += field.baker(shining).irradiance(position, normal, RAYS).diffuse
     lamps = sources(kind, np.ones((int(kind.max()) + 1, 3)))
-    form = field.forms(lamps, position, normal)
-    lights = form.mean(axis=0) > 0  # kinds that illuminate at least one point
-    bound = MIN_LIGHT * light.mean(axis=0) / np.where(lights, form.mean(axis=0), np.inf)[:, None]
+    form = field.form_factors(lamps, position, normal)
+    illuminates = form.mean(axis=0) > 0  # kinds that illuminate at least one point
+    bound = MIN_LIGHT * light.mean(axis=0) / np.where(illuminates, form.mean(axis=0), np.inf)[:, None]
     group = np.unique(region[chosen], return_inverse=True)[1]
     log_albedo = np.log(np.maximum(predicted[chosen].astype(np.float64), _MIN_ALBEDO))
     albedo = np.stack([np.bincount(group, column) for column in log_albedo.T], axis=1)
@@ -101,10 +101,10 @@ def unseen_lamps(lit: Lit, mesh: Mesh, region: NDArray, predicted: NDArray) -> U
     )
     gathered = Gathered(surfels.radiance[chosen].astype(np.float64), light, form, group)
     found = recovered(gathered, replace(lamps, bound=bound), prior)
-    mine = kind >= 0
-    radiance[mine] = np.where(lights[:, None], found.radiance, 0.0)[kind[mine]]
-    unsure = replace(found, spread=np.ones(len(lamps)))  # all light from these lamps counts as uncertain
-    return UnseenLamps(emitters.with_radiance(radiance), doubt_of(field, lamps, unsure))
+    is_unknown = kind >= 0
+    radiance[is_unknown] = np.where(illuminates[:, None], found.radiance, 0.0)[kind[is_unknown]]
+    uncertain = replace(found, spread=np.ones(len(lamps)))  # all light from these lamps counts as uncertain
+    return UnseenLamps(emitters.with_radiance(radiance), doubt_of(field, lamps, uncertain))
 
 
 def lamp_kinds(emitters: Emitters, mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -174,11 +174,12 @@ def notes_of(found: Completed) -> list[str]:
         notes.append(text)
     if found.clipped_share > 0.001:
         text = f"{found.clipped_share:.1%} of the pixels are at the sensor's limit"
-        unsure = int((found.spread > 0.5).sum())
+        num_uncertain = int((found.spread > 0.5).sum())
         if len(found.radiance):
             text += f"; the radiance of {len(found.radiance)} lamps, sunlit patches and parts of the sky "
             text += "is estimated from illuminated surfaces"
-        if unsure:
-            text += f"; {unsure} of them are uncertain: photograph lamps and more sky with a shorter exposure"
+        if num_uncertain:
+            text += f"; {num_uncertain} of them are uncertain: "
+            text += "photograph lamps and more sky with a shorter exposure"
         notes.append(text)
     return notes

@@ -40,8 +40,7 @@ _ROUNDS = 10
 _SCALES = (0.5, 0.06)  # first and last scale of Cauchy's distribution, in ln L
 _PRIOR_GAIN, _PRIOR_VIGNETTING, _PRIOR_CURVE = 1.0, 0.5, 0.05
 _PRIOR_WEIGHT = 5.0  # weight of a prior at one standard deviation, in observations
-# That of the curve's prior, relative to the number of samples: their errors have common causes.
-_CURVE_WEIGHT = 2e-4
+_CURVE_WEIGHT = 2e-4  # of the curve's prior, per sample, since samples' errors have common causes
 _MAX_CURVE = 0.15  # above 1 / 2 pi the curve is not monotonic
 _STEP = 1e-3  # of numerical derivatives
 
@@ -67,13 +66,13 @@ class Radiometry:
         """Convert the colours of ``view``, of number ``index``, to radiance at the common exposure."""
         color = view.color.astype(np.float64)
         if self.curve and view.limit is not None:
-            color = view.limit * unbent(color / view.limit, self.curve)
+            color = view.limit * invert_response(color / view.limit, self.curve)
         fall_off = np.exp(self.vignetting * radius_squared(view))[..., None]
         limit = None if view.limit is None else view.limit / float(self.gain[index].mean())
         return replace(view, color=(color * fall_off / self.gain[index]).astype(np.float32), limit=limit)
 
 
-def shown(value: NDArray, curve: float) -> NDArray[np.float64]:
+def apply_response(value: NDArray, curve: float) -> NDArray[np.float64]:
     """Apply the response, which deviates from sRGB by ``curve``, to a linear ``value``, and decode it as
     sRGB; both values are relative to the clipping limit.
     """
@@ -81,8 +80,8 @@ def shown(value: NDArray, curve: float) -> NDArray[np.float64]:
     return np.asarray(linear_from_srgb(encoded - curve * np.sin(2 * np.pi * encoded)), np.float64)
 
 
-def unbent(value: NDArray, curve: float) -> NDArray[np.float64]:
-    """Invert :func:`shown`: convert recorded to linear values, both relative to the clipping limit."""
+def invert_response(value: NDArray, curve: float) -> NDArray[np.float64]:
+    """Invert :func:`apply_response`."""
     encoded = np.linspace(0, 1, 4096)
     bent = encoded - curve * np.sin(2 * np.pi * encoded)
     of_value = np.asarray(srgb_from_linear(np.clip(value, 0, 1)), np.float64)
@@ -137,8 +136,8 @@ def _channels(views: Sequence[TracedView], surfels: Surfels) -> tuple[list[_Chan
     surfel, view = surfels.surfel_of_observation()[rows].astype(np.int64), observations.view[rows]
     r2 = np.zeros(len(rows))
     for index, of_view in enumerate(views):
-        mine = view == index
-        r2[mine] = _radius_at(of_view, surfels.position_m[surfel[mine]])
+        is_in_view = view == index
+        r2[is_in_view] = _radius_at(of_view, surfels.position_m[surfel[is_in_view]])
     value = observations.radiance[rows].astype(np.float64) / limit[view][:, None]
     counts = (value > DARK) & (value < most[view][:, None])
     if counts.sum(axis=0).min() < MIN_SAMPLES * len(views):
@@ -196,14 +195,14 @@ def _solved(
 class _Channel:
     """M samples of a channel.
 
-    ``surfel`` (from 0) and ``view``: indices; ``r2``: squared image radius; ``shown`` and ``limit``: ln of
+    ``surfel`` (from 0) and ``view``: indices; ``r2``: squared image radius; ``recorded`` and ``limit``: ln of
     the recorded value and of the clipping limit; all (M,). ``radiance``: ln radiance of each surfel.
     """
 
     surfel: NDArray[np.int64]
     view: NDArray[np.int64]
     r2: NDArray[np.float64]
-    shown: NDArray[np.float64]
+    recorded: NDArray[np.float64]
     limit: NDArray[np.float64]
     radiance: NDArray[np.float64]
 
@@ -214,12 +213,12 @@ class _Channel:
         """Choose the samples ``counts`` (M,) of surfels with enough of them."""
         rows = np.flatnonzero(counts)
         rows = rows[np.bincount(surfel[rows])[surfel[rows]] >= MIN_VIEWS]
-        surfel, shown, limit = (
+        surfel, recorded, limit = (
             np.unique(surfel[rows], return_inverse=True)[1],
             np.log(value[rows]),
             limit[rows],
         )
-        return cls(surfel, view[rows], r2[rows], shown, limit, _group_medians(shown + limit, surfel))
+        return cls(surfel, view[rows], r2[rows], recorded, limit, _group_medians(recorded + limit, surfel))
 
     def predicted(self, state: NDArray, first: int, last: int) -> tuple[NDArray[np.float64], ...]:
         """Predict the ln value of the samples and its derivatives (:func:`_log_shown`) at ``state``."""
@@ -229,7 +228,7 @@ class _Channel:
 
     def cost(self, state: NDArray, first: int, last: int) -> float:
         """Compute the mean negative log likelihood of the residuals under a Cauchy distribution."""
-        rest = self.shown - self.predicted(state, first, last)[0]
+        rest = self.recorded - self.predicted(state, first, last)[0]
         return float(np.log1p((rest / _SCALES[1]) ** 2).mean())
 
     def step(self, state: NDArray, first: int, last: int, scale: float) -> tuple[Any, ...]:
@@ -237,7 +236,7 @@ class _Channel:
         eliminated, and the matrix (N, unknowns) and vector (N,) for back-substitution of the surfels.
         """
         predicted, slope, by_curve = self.predicted(state, first, last)
-        rest = self.shown - predicted
+        rest = self.recorded - predicted
         weight = 1 / (1 + (rest / scale) ** 2)
         rows, ones = np.arange(len(rest)), np.ones(len(rest), np.int64)
         columns = np.concatenate([first + self.view, last * ones, (last + 1) * ones])
@@ -260,9 +259,9 @@ def _log_shown(arriving: NDArray, curve: float) -> tuple[NDArray[np.float64], ..
     if not curve:
         here, slope = arriving, np.ones_like(arriving)
     else:
-        here = np.log(shown(np.exp(arriving), curve))
-        slope = (np.log(shown(np.exp(arriving + _STEP), curve)) - here) / _STEP
-    return here, slope, (np.log(shown(np.exp(arriving), curve + _STEP)) - here) / _STEP
+        here = np.log(apply_response(np.exp(arriving), curve))
+        slope = (np.log(apply_response(np.exp(arriving + _STEP), curve)) - here) / _STEP
+    return here, slope, (np.log(apply_response(np.exp(arriving), curve + _STEP)) - here) / _STEP
 
 
 def _group_medians(values: NDArray, group: NDArray) -> NDArray[np.float64]:

@@ -133,7 +133,7 @@ class SourceField:
         field = RadianceField(self._scene, cells, shining, background)
         return Baker(field, grid.cell_m * CELLS_ACROSS)
 
-    def forms(self, sources: Sources, position_m: NDArray, normal: NDArray) -> NDArray[np.float64]:
+    def form_factors(self, sources: Sources, position_m: NDArray, normal: NDArray) -> NDArray[np.float64]:
         """Compute the diffuse shading (P, S) at positions and normals (P, 3) by each source at radiance 1."""
         form = np.zeros((len(position_m), len(sources)))
         for first in range(0, len(sources), 3):  # three sources at a time, one per channel
@@ -159,7 +159,7 @@ class Gatherer:
         usable = np.flatnonzero((sources.of_surfel < 0) & (clear >= MIN_VIEWS))
         self._chosen = np.sort(np.random.default_rng(0).permutation(usable)[:MAX_POINTS])
         self._place = surfels.position_m[self._chosen], surfels.normal[self._chosen]
-        self._form = field.forms(sources, *self._place)
+        self._form = field.form_factors(sources, *self._place)
         self._dark = field.baker(field.colored(sources, np.zeros_like(sources.bound)))
 
     def gathered(self, radiance: NDArray) -> Gathered:
@@ -200,13 +200,13 @@ def recovered(gathered: Gathered, sources: Sources, prior: Prior | None = None) 
     bound = np.maximum(sources.bound, 1e-6 * max(float(sources.bound.max(initial=0)), 1e-12))
     patches = np.unique(sources.of_surfel[sources.of_surfel >= 0])
     is_open = sources.is_open.copy()
-    dazzling = patches[:0]
+    implausible = patches[:0]
     while True:
-        is_open[dazzling] = False
+        is_open[implausible] = False
         fitted = [_fitted(gathered, replace(sources, is_open=is_open), bound, prior, s) for s in _STARTS]
         _, factor, spread = min(fitted, key=lambda found: found[0])
-        dazzling = patches[factor[patches].max(axis=1, initial=0) > np.log(MAX_SUNLIT_FACTOR)]
-        if not len(dazzling):
+        implausible = patches[factor[patches].max(axis=1, initial=0) > np.log(MAX_SUNLIT_FACTOR)]
+        if not len(implausible):
             break
     of_sky = np.unique(sources.neighbours)
     spread[of_sky] = np.maximum(spread[of_sky], _MIN_SKY_SPREAD)

@@ -25,14 +25,14 @@ from datagen.light.surfels import Surfels, clipped_shares
 
 CLIPPED_SHARE = 0.5
 """Clipped share of the pixels of an emitter or background bin from which a channel is unknown."""
-SHUT = 0.9
+MIN_SURFEL_SHARE = 0.9
 """Clipped share of a surfel's pixels from which it counts as clipped in all views."""
 MIN_CELLS = 4
 """Minimum number of surfels in a patch."""
 MIN_PIXELS, MAX_OPENINGS = 0.03, 6
 """Minimum share of the clipped background pixels in an opening, and maximum number of openings; others are
 merged with the largest."""
-BLOCK_OF_HEIGHT, AZIMUTHS_A_BLOCK = (0, 0, 0, 0, 0, 0, 1, 2, 2, 3, 3, 3), 3
+BLOCK_OF_HEIGHT, AZIMUTHS_PER_BLOCK = (0, 0, 0, 0, 0, 0, 1, 2, 2, 3, 3, 3), 3
 """Block of each row of directions in an opening, from nadir to zenith, and columns of azimuth per block; all
 directions below the horizon are one block. A clear sky is ten times as bright near the sun as elsewhere."""
 SKY_REACH = 1.0
@@ -66,9 +66,9 @@ class Sources:
     ) -> Colored:
         """Replace the clipped channels of every source's radiance by its row of ``values`` (sources, 3)."""
         return Colored(
-            _put(emitters.radiance, self.of_emitter, values, self.is_open),
-            _put(background.radiance, self.of_bin, values, self.is_open),
-            _put(surfels.radiance, self.of_surfel, values, self.is_open),
+            _replaced(emitters.radiance, self.of_emitter, values, self.is_open),
+            _replaced(background.radiance, self.of_bin, values, self.is_open),
+            _replaced(surfels.radiance, self.of_surfel, values, self.is_open),
         )
 
 
@@ -81,11 +81,11 @@ class Colored:
     surfels: NDArray[np.float32]
 
 
-def _put(radiance: NDArray, source: NDArray, values: NDArray, is_open: NDArray) -> NDArray[np.float32]:
+def _replaced(radiance: NDArray, source: NDArray, values: NDArray, is_open: NDArray) -> NDArray[np.float32]:
     found = radiance.astype(np.float32)
-    mine = np.flatnonzero(source >= 0)
-    of = source[mine]
-    found[mine] = np.where(is_open[of], values[of], found[mine])
+    rows = np.flatnonzero(source >= 0)
+    owner = source[rows]
+    found[rows] = np.where(is_open[owner], values[owner], found[rows])
     return found
 
 
@@ -127,10 +127,12 @@ def find_sources(
 
 def _label_means(values: NDArray, label: NDArray, count: int) -> NDArray[np.float64]:
     """Compute the means (count, 3) of ``values`` (N, 3) by ``label`` (N,), numbered from 0; -1 is ignored."""
-    found, mine = np.zeros((count, 3)), label >= 0
-    num = np.maximum(np.bincount(label[mine], minlength=count), 1)
+    found, is_labelled = np.zeros((count, 3)), label >= 0
+    num = np.maximum(np.bincount(label[is_labelled], minlength=count), 1)
     for channel in range(3 if count else 0):
-        found[:, channel] = np.bincount(label[mine], values[mine, channel].astype(np.float64), count) / num
+        found[:, channel] = (
+            np.bincount(label[is_labelled], values[is_labelled, channel].astype(np.float64), count) / num
+        )
     return found
 
 
@@ -164,14 +166,14 @@ def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], ND
     opening = _openings((share >= CLIPPED_SHARE).any(axis=1), seen)
     row, column = np.divmod(np.arange(NEAR.num_directions), NEAR.azimuths)
     height = np.array(BLOCK_OF_HEIGHT)[row]
-    across = NEAR.azimuths // AZIMUTHS_A_BLOCK
-    block = np.where(height > 0, height * across + column // AZIMUTHS_A_BLOCK, 0)
+    across = NEAR.azimuths // AZIMUTHS_PER_BLOCK
+    block = np.where(height > 0, height * across + column // AZIMUTHS_PER_BLOCK, 0)
     num_blocks = (max(BLOCK_OF_HEIGHT) + 1) * across
     key = np.where(opening >= 0, opening * num_blocks + np.resize(block, len(opening)), -1)
     kept = np.unique(key[key >= 0])
     height, azimuth = np.divmod(kept % num_blocks, across)
-    apart = np.abs(azimuth[:, None] - azimuth)
-    steps = np.abs(height[:, None] - height) + np.minimum(apart, across - apart)
+    azimuth_steps = np.abs(azimuth[:, None] - azimuth)
+    steps = np.abs(height[:, None] - height) + np.minimum(azimuth_steps, across - azimuth_steps)
     same_opening = kept[:, None] // num_blocks == kept // num_blocks
     is_pair = (steps == 1) & same_opening & (np.minimum(height[:, None], height) > 0)
     return np.where(key >= 0, np.searchsorted(kept, key), -1), np.argwhere(np.triu(is_pair))
@@ -207,12 +209,12 @@ def _labelled_surfels(views: Sequence[TracedView], surfels: Surfels) -> tuple[ND
     A patch consists of neighbouring surfels of one side that are clipped in all views.
     """
     share = clipped_shares(views, surfels)
-    shut = np.flatnonzero((share >= SHUT).any(axis=1))
+    clipped = np.flatnonzero((share >= MIN_SURFEL_SHARE).any(axis=1))
     label = np.full(len(surfels), -1, np.int64)
-    cells, sides = cell_indices(np.flatnonzero(surfels.grid.surfel >= 0)[shut], surfels.grid.shape)
+    cells, sides = cell_indices(np.flatnonzero(surfels.grid.surfel >= 0)[clipped], surfels.grid.shape)
     for number, patch in enumerate(adjacent_cells(cells, sides)):
-        label[shut[patch]] = number
-    return _largest(label, MIN_CELLS), (share >= SHUT).astype(np.float64)
+        label[clipped[patch]] = number
+    return _largest(label, MIN_CELLS), (share >= MIN_SURFEL_SHARE).astype(np.float64)
 
 
 def _largest(label: NDArray, least: int) -> NDArray[np.int64]:
