@@ -17,8 +17,8 @@ from model.reconstruction.light.confidence import (
     S_EVIDENCE,
     ImpossibleShares,
     impossible_shares,
+    light_certainty,
     normal_spread,
-    sureness,
     surfel_confidence,
     trust_in_normals,
 )
@@ -45,7 +45,7 @@ def test_uncertain_light_counts_in_the_whole_region() -> None:
     doubt, region = np.zeros(200), np.repeat([0, 1], 100)
     doubt[[3, 30]] = 50 * np.mean(DOUBT)
     doubt[150] = DOUBT[1]
-    found = sureness(doubt, np.ones((200, 3)), region)
+    found = light_certainty(doubt, np.ones((200, 3)), region)
     np.testing.assert_allclose(np.delete(found[:100], [3, 30]), 0.5, atol=1e-6)
     assert found[3] == found[30] == 0
     np.testing.assert_allclose(np.delete(found[100:], 50), 1, atol=1e-6)

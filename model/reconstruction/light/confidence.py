@@ -58,8 +58,8 @@ def surfel_confidence(photographed: NDArray, is_mirror: NDArray[np.bool_]) -> ND
 
     The relative error of D equals that of the irradiance, so D needs a larger share than S and R, whose prior
     already has more weight where evidence is weak: below a share of 0.3, R from light has 0.03 to
-    0.9 times the network's squared error in the development rooms. Mirrors (``is_mirror`` (N,)) are known by
-    their images.
+    0.9 times the network's squared error in the development rooms. Mirrors (``is_mirror`` (N,)) need no
+    photographed hemisphere, since their images determine them.
     """
     photographed = np.where(is_mirror, 1.0, photographed)
     of_d = _ramp(photographed, D_EVIDENCE)
@@ -115,14 +115,14 @@ def impossible_shares(
     of_room = float(weight @ excess) / max(float(weight.sum()), 1e-12)
     whole = _shrunk_share(np.bincount(of_region, weight * excess), np.bincount(of_region, weight), of_room)
     num = np.bincount(block)
-    total, shining = np.bincount(block, weight), np.bincount(block, weight * excess)
+    total, excessive = np.bincount(block, weight), np.bincount(block, weight * excess)
     apart_m = 100 * side_m * of_region  # keeps nearest neighbours within one region
     place = np.column_stack([surfels.position_m, surfels.normal * side_m, apart_m]).astype(np.float64)
     centre = np.stack([np.bincount(block, column) / num for column in place.T], axis=1)
     distance, index = cKDTree(centre).query(place, k=np.arange(min(_NEAR_BLOCKS, len(num))) + 1, workers=-1)
     near = np.exp(-0.5 * np.square(distance / (0.7 * side_m)))
     around = _shrunk_share(
-        (near * shining[index]).sum(axis=1), (near * total[index]).sum(axis=1), whole[of_region]
+        (near * excessive[index]).sum(axis=1), (near * total[index]).sum(axis=1), whole[of_region]
     )
     return ImpossibleShares(around, of_room)
 
@@ -159,7 +159,7 @@ def trust_in_normals(spread: NDArray) -> NDArray[np.float32]:
     return (1 - (1 - BUMPY_TRUST) * of_room * _ramp(spread, BUMPY)).astype(np.float32)
 
 
-def sureness(doubt: NDArray, diffuse: NDArray, region: NDArray) -> NDArray[np.float64]:
+def light_certainty(doubt: NDArray, diffuse: NDArray, region: NDArray) -> NDArray[np.float64]:
     """Compute the trust (N,) in the light of surfels from the uncertain luminance ``doubt`` (N,) of their
     diffuse shading ``diffuse`` (N, 3).
 

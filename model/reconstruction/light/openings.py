@@ -232,12 +232,12 @@ def _largest_bundle(rays: LeavingRays, background: Background) -> tuple[NDArray[
     """Find the largest set of rays through one connected part of a face: its mask (N,) and the face."""
     best, of_face, most = np.zeros(len(rays.face), dtype=bool), 0, 0
     for face in range(6):
-        mine = rays.face == face
-        if mine.sum() <= most:
+        is_on_face = rays.face == face
+        if is_on_face.sum() <= most:
             continue
         plane = _Plane(background, face, 0.0)
-        for part in _components(_is_open(_Squares.of(rays.chosen(mine), plane).num)):
-            bundle = mine & plane.within(rays, part)
+        for part in _components(_is_open(_Squares.of(rays.chosen(is_on_face), plane).num)):
+            bundle = is_on_face & plane.within(rays, part)
             if bundle.sum() > most:
                 best, of_face, most = bundle, face, int(bundle.sum())
     return best, of_face

@@ -242,14 +242,16 @@ def solve_points(
     options: LightOptions,
 ) -> SolvedSegments:
     """Solve S and R of the segments from the ``shading`` of their points at the capture's ``exposure``."""
-    of_point = segmentation.prior[points.surfel]
+    prior = segmentation.prior[points.surfel]
     num_segments = len(points.start) - 1
     segment = np.repeat(np.arange(num_segments), np.diff(points.start))
     total = np.bincount(segment, minlength=num_segments)
-    mean = np.stack([np.bincount(segment, c, num_segments) / total for c in of_point.T], axis=1)
-    seen = np.diff(lit.surfels.observations.start)[points.surfel]
-    of_point_evidence = lit.irradiance.photographed[points.surfel] * (seen / (seen + HALF_EVIDENCE_VIEWS))
-    evidence = np.bincount(segment, of_point_evidence, num_segments) / total
+    mean = np.stack([np.bincount(segment, c, num_segments) / total for c in prior.T], axis=1)
+    num_views = np.diff(lit.surfels.observations.start)[points.surfel]
+    point_evidence = lit.irradiance.photographed[points.surfel] * (
+        num_views / (num_views + HALF_EVIDENCE_VIEWS)
+    )
+    evidence = np.bincount(segment, point_evidence, num_segments) / total
     costs = segment_costs(
         points.start,
         lit.surfels.observations.radiance[points.row],
@@ -260,14 +262,14 @@ def solve_points(
         exposure,
     )
     weights = options.prior if options.has_prior else PriorWeights(0.0, (0.0, 0.0), options.prior.metal)
-    group = segmentation.region_of_segment()
+    region = segmentation.region_of_segment()
     size = np.bincount(segmentation.segment, minlength=num_segments)
-    views = np.bincount(segment, seen, num_segments) / total
+    views = np.bincount(segment, num_views, num_segments) / total
     white = lit.diffuse @ LUMINANCE_WEIGHTS
     ratio = lit.surfels.radiance @ LUMINANCE_WEIGHTS / np.maximum(white, 1e-12)
     brightness = _medians(ratio[points.surfel], points.start)
     evidence **= EVIDENCE_POWER
-    return decide(costs, mean[:, 3:6], mean[:, 6], evidence, views, group, size, brightness, weights)
+    return decide(costs, mean[:, 3:6], mean[:, 6], evidence, views, region, size, brightness, weights)
 
 
 def _medians(values: NDArray, start: NDArray) -> NDArray[np.float64]:

@@ -27,12 +27,12 @@ def cover(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
     return found
 
 
-def cut(block: tuple[int, int, int, int], most: int) -> list[tuple[int, int, int, int]]:
-    """Cut a rectangle (row, column, rows, columns) into pieces of at most ``most`` rows and columns."""
+def cut(block: tuple[int, int, int, int], max_side: int) -> list[tuple[int, int, int, int]]:
+    """Cut a rectangle (row, column, rows, columns) into pieces of at most ``max_side`` a side."""
     row, column, rows, columns = block
-    down, along = -(-rows // most), -(-columns // most)
-    tops = np.linspace(row, row + rows, down + 1).round().astype(int)
-    lefts = np.linspace(column, column + columns, along + 1).round().astype(int)
+    num_rows, num_columns = -(-rows // max_side), -(-columns // max_side)
+    tops = np.linspace(row, row + rows, num_rows + 1).round().astype(int)
+    lefts = np.linspace(column, column + columns, num_columns + 1).round().astype(int)
     return [
         (int(top), int(left), int(bottom - top), int(right - left))
         for top, bottom in pairwise(tops)

@@ -60,7 +60,7 @@ since glossy hypotheses fit noise slightly better."""
 MATTE_ALBEDO, MATTE_DIELECTRIC = (0.02, 0.06), 0.75
 """Bounds on the network's S of matte segments in an inexact capture, where S = 0 cannot be distinguished from
 that of a rough dielectric; and the probability of the dielectric."""
-REFERENCE_OBSERVATIONS, COOLING, MAX_HEAT = 3000.0, 0.75, 10.0
+REFERENCE_OBSERVATIONS, COOLING, MAX_TEMPERATURE_FACTOR = 3000.0, 0.75, 10.0
 """In an exact capture, temperatures are multiplied by (observations of the segment / the first value) to the
 power of minus the second, at most by the third. Errors of independent observations would give the power 1."""
 EXACT_RESIDUAL = (0.008, 0.012)
@@ -158,7 +158,7 @@ def decide(
     roughness: NDArray,
     evidence: NDArray,
     views: NDArray,
-    group: NDArray,
+    region: NDArray,
     size: NDArray,
     brightness: NDArray,
     weights: PriorWeights,
@@ -167,7 +167,7 @@ def decide(
 
     ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the network's; ``evidence`` (G,) in [0, 1] divides
     the weights of priors, as at least :data:`MIN_EVIDENCE`; ``views`` (G,): mean number of views of a surfel;
-    ``group`` (G,): smooth region; ``size`` (G,): number of surfels; ``brightness`` (G,): typical radiance
+    ``region`` (G,): smooth region; ``size`` (G,): number of surfels; ``brightness`` (G,): typical radiance
     relative to white in the same light. A dielectric is the mean of the matte (R = 1; S = 0 or, in an inexact
     capture, by the network's) and glossy hypotheses, weighted by likelihood.
 
@@ -177,53 +177,59 @@ def decide(
     segments above :data:`MAX_BRIGHTNESS` do not count: patches of sun, which clip and whose light is
     underestimated, resemble metal.
     """
-    doubt = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
+    inverse_evidence = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
     root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))
-    of_s = weights.specular_albedo * doubt[:, None] * (np.sqrt(SPECULAR_LEVELS)[None] - root[:, None]) ** 2
-    of_matte = costs.dielectric[:, -1, 0].astype(np.float64)
-    of_glossy = costs.dielectric[:, :, 1:].reshape(len(root), -1).min(axis=1)
-    residual = np.minimum(of_matte, of_glossy)
+    prior_s = (
+        weights.specular_albedo
+        * inverse_evidence[:, None]
+        * (np.sqrt(SPECULAR_LEVELS)[None] - root[:, None]) ** 2
+    )
+    matte_cost = costs.dielectric[:, -1, 0].astype(np.float64)
+    glossy_cost = costs.dielectric[:, :, 1:].reshape(len(root), -1).min(axis=1)
+    residual = np.minimum(matte_cost, glossy_cost)
     observations = np.maximum(size * views, 1)
     exactness = _exactness(residual, observations)
-    prior_r = _blended(weights.roughness, exactness) * doubt
-    of_r = prior_r[:, None] * (ROUGHNESS_LEVELS[None] - roughness[:, None]) ** 2
+    roughness_weight = _blended(weights.roughness, exactness) * inverse_evidence
+    prior_r = roughness_weight[:, None] * (ROUGHNESS_LEVELS[None] - roughness[:, None]) ** 2
     rows = np.arange(len(root))
-    glossy = costs.dielectric[:, :, 1:].astype(np.float64) + of_s[:, None, 1:] + of_r[:, :, None]
+    glossy = costs.dielectric[:, :, 1:].astype(np.float64) + prior_s[:, None, 1:] + prior_r[:, :, None]
     noise = np.maximum(residual, MIN_NOISE)
     cooling = (observations / REFERENCE_OBSERVATIONS) ** -(COOLING * exactness)
-    heat = noise * np.minimum(cooling, MAX_HEAT)
-    found_s, found_r, square_r = _expected(glossy / (GLOSSY_TEMPERATURE * heat)[:, None, None])
-    matte_heat = _blended(MATTE_TEMPERATURE, exactness) * heat
-    matte = expit((of_glossy - of_matte + MATTE_ALLOWANCE * noise) / matte_heat)
+    temperature = noise * np.minimum(cooling, MAX_TEMPERATURE_FACTOR)
+    found_s, found_r, mean_r2 = _expected(glossy / (GLOSSY_TEMPERATURE * temperature)[:, None, None])
+    matte_temperature = _blended(MATTE_TEMPERATURE, exactness) * temperature
+    matte = expit((glossy_cost - matte_cost + MATTE_ALLOWANCE * noise) / matte_temperature)
     matte_s = (1 - exactness) * MATTE_DIELECTRIC * np.clip(root**2, *MATTE_ALBEDO)
     found_s, found_r = matte * matte_s + (1 - matte) * found_s, matte + (1 - matte) * found_r
-    variance = matte + (1 - matte) * square_r - found_r**2
-    best = np.minimum(glossy.reshape(len(root), -1).min(axis=1), of_matte + of_s[:, 0] + of_r[:, -1])
-    metal = costs.metal + of_r
+    variance = matte + (1 - matte) * mean_r2 - found_r**2
+    best = np.minimum(glossy.reshape(len(root), -1).min(axis=1), matte_cost + prior_s[:, 0] + prior_r[:, -1])
+    metal = costs.metal + prior_r
     mean_albedo = costs.metal_albedo.mean(axis=2)
     metal = np.where(mean_albedo < MIN_DARK_METAL, np.inf, metal)
     metal_level = metal.argmin(axis=1)
-    unlike = 1 - np.minimum(root**2 / MIN_METAL, 1)  # the network rarely predicts metal, but reliably
-    unlike[ROUGHNESS_LEVELS[metal_level] > MATTE_METAL] = 1
-    required = weights.metal * doubt * unlike
+    nonmetal_prior = 1 - np.minimum(root**2 / MIN_METAL, 1)  # the network rarely predicts metal, but reliably
+    nonmetal_prior[ROUGHNESS_LEVELS[metal_level] > MATTE_METAL] = 1
+    required = weights.metal * inverse_evidence * nonmetal_prior
     albedo, advantage = mean_albedo[rows, metal_level], best - metal[rows, metal_level]
-    of_metal = costs.metal[rows, metal_level]
-    is_mirror = (ROUGHNESS_LEVELS[metal_level] <= MIRROR_ROUGHNESS) & (of_metal <= MIRROR_FIT * residual)
+    metal_residual = costs.metal[rows, metal_level]
+    is_mirror = (ROUGHNESS_LEVELS[metal_level] <= MIRROR_ROUGHNESS) & (
+        metal_residual <= MIRROR_FIT * residual
+    )
     is_mirror &= (residual >= MIRROR_RESIDUAL) & (views >= MIRROR_VIEWS) & (size >= MIRROR_SURFELS)
     required = np.where(is_mirror, 0, required)
     is_possible = (brightness <= MAX_BRIGHTNESS) | (exactness > 0.5)
-    is_possible &= np.bincount(group, size)[group] >= MIN_METAL_SURFELS
+    is_possible &= np.bincount(region, size)[region] >= MIN_METAL_SURFELS
     is_metal = (advantage > required) & (albedo >= MIN_METAL) & is_possible
-    ratio = np.log(noise / np.maximum(of_metal, MIN_NOISE))
-    in_metal = _in_metal_regions(group, size * is_possible, is_metal, ratio, evidence, albedo)
-    is_metal |= in_metal & (advantage > -METAL_TOLERANCE)
+    ratio = np.log(noise / np.maximum(metal_residual, MIN_NOISE))
+    is_in_metal = _is_in_metal_region(region, size * is_possible, is_metal, ratio, evidence, albedo)
+    is_metal |= is_in_metal & (advantage > -METAL_TOLERANCE)
     found_s = np.where(is_metal[:, None], costs.metal_albedo[rows, metal_level], found_s[:, None])
     found_r = np.where(is_metal, _refined(metal, metal_level), found_r)
-    residual = np.where(is_metal, of_metal, residual)
+    residual = np.where(is_metal, metal_residual, residual)
     low, high = np.where(is_metal[:, None], METAL_RESIDUAL, DIELECTRIC_RESIDUAL).T
     confidence = np.repeat(np.clip((high - residual) / (high - low), 0, 1)[:, None], 3, axis=1)
-    of_network = NETWORK_VARIANCE * np.sqrt(views)
-    confidence[:, 2] *= np.where(is_metal, 1.0, of_network / (of_network + variance))
+    network_variance = NETWORK_VARIANCE * np.sqrt(views)
+    confidence[:, 2] *= np.where(is_metal, 1.0, network_variance / (network_variance + variance))
     return SolvedSegments(
         found_s.astype(np.float32),
         found_r.astype(np.float32),
@@ -234,9 +240,9 @@ def decide(
 
 
 def shared_roughness(
-    solved: SolvedSegments, group: NDArray, weight: NDArray
+    solved: SolvedSegments, region: NDArray, weight: NDArray
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Blend the R (G,) of dielectrics with its mean over the smooth region ``group`` (G,), weighted by
+    """Blend the R (G,) of dielectrics with its mean over the smooth region ``region`` (G,), weighted by
     ``weight`` (G,) times confidence; return it and its confidence (G,).
 
     The share of the mean increases from :data:`REGION_SHARE` to 1 as a segment's confidence decreases to 0,
@@ -245,16 +251,16 @@ def shared_roughness(
     """
     confidence = solved.confidence[:, 2]
     weight = weight * ~solved.is_metal
-    total = np.bincount(group, weight * confidence)
-    mean = np.bincount(group, weight * confidence * solved.roughness) / np.maximum(total, 1e-12)
-    of_region = total / np.maximum(np.bincount(group, weight), 1e-12)
-    share = np.where(solved.is_metal | (total <= 0)[group], 0.0, 1 - (1 - REGION_SHARE) * confidence)
-    shared = solved.roughness + share * (mean[group] - solved.roughness)
-    return shared.astype(np.float32), np.maximum(confidence, share * of_region[group]).astype(np.float32)
+    total = np.bincount(region, weight * confidence)
+    mean = np.bincount(region, weight * confidence * solved.roughness) / np.maximum(total, 1e-12)
+    of_region = total / np.maximum(np.bincount(region, weight), 1e-12)
+    share = np.where(solved.is_metal | (total <= 0)[region], 0.0, 1 - (1 - REGION_SHARE) * confidence)
+    shared = solved.roughness + share * (mean[region] - solved.roughness)
+    return shared.astype(np.float32), np.maximum(confidence, share * of_region[region]).astype(np.float32)
 
 
-def _in_metal_regions(
-    group: NDArray, size: NDArray, is_metal: NDArray, ratio: NDArray, evidence: NDArray, albedo: NDArray
+def _is_in_metal_region(
+    region: NDArray, size: NDArray, is_metal: NDArray, ratio: NDArray, evidence: NDArray, albedo: NDArray
 ) -> NDArray[np.bool_]:
     """Compute the mask (G,) of segments whose region is metal as a whole, by its share of metal or by
     its mean ``ratio``, ln (residual as dielectric / residual as metal).
@@ -263,11 +269,11 @@ def _in_metal_regions(
     hypotheses; the others (G,) as in :func:`decide`.
     """
     share, mean_ratio, mean_evidence, mean_albedo = (
-        np.bincount(group, size * values) / np.maximum(np.bincount(group, size), 1)
+        np.bincount(region, size * values) / np.maximum(np.bincount(region, size), 1)
         for values in (is_metal, np.clip(ratio, -MAX_LOG_RATIO, MAX_LOG_RATIO), evidence, albedo)
     )
     is_evident = mean_ratio * np.sqrt(mean_evidence) > MIN_LOG_RATIO
-    return ((share >= METAL_SHARE) | (is_evident & (mean_albedo >= MIN_METAL)))[group]
+    return ((share >= METAL_SHARE) | (is_evident & (mean_albedo >= MIN_METAL)))[region]
 
 
 def _exactness(residual: NDArray, observations: NDArray) -> float:

@@ -29,8 +29,8 @@ from datagen.light.surfels import Surfels, camera_row, surfel_means, weighted_me
 from model.reconstruction.light.confidence import (
     METAL_TRUST,
     impossible_shares,
+    light_certainty,
     normal_spread,
-    sureness,
     surfel_confidence,
     trust_in_hidden,
     trust_in_normals,
@@ -125,14 +125,14 @@ def materials_from_light(
         segments = solve_points(lit, points, shading, segmentation, exposure, options)
     if options.num_rounds > 1:
         with report.step("second round"):
-            of_surfels = (
+            surfel_materials = (
                 segments.specular_albedo[segment],
                 segments.roughness[segment],
                 segments.is_metal[segment],
             )
             _, specular = _specular_parts(lit, segments, segment, SPECULAR_RAYS)
-            radiance = outgoing_radiance(lit, specular, *of_surfels)
-            lit = relight(lit, *of_surfels, *radiance, options)
+            radiance = outgoing_radiance(lit, specular, *surfel_materials)
+            lit = relight(lit, *surfel_materials, *radiance, options)
             if segments.is_metal.any():
                 shading = shade_points(lit, points, options)
                 segments = solve_points(lit, points, shading, segmentation, exposure, options)
@@ -140,14 +140,14 @@ def materials_from_light(
     with report.step("specular"):
         specular_albedo, specular = _specular_parts(lit, segments, segment, options.specular_rays)
     with report.step("correction"):
-        sure = np.ones(len(surfels))
+        certainty = np.ones(len(surfels))
         if doubt_at is not None:
             noisy = doubt_at(surfels.position_m, surfels.normal)[:, None]
             doubt = smoothed(surfels, noisy, options.smoothing_neighbours)
-            sure = sureness(doubt[:, 0], lit.diffuse, region)
+            certainty = light_certainty(doubt[:, 0], lit.diffuse, region)
         inferred = lamps.share(lit, region) if lamps is not None else np.zeros(len(surfels))
         solved, albedo = _solved_surfels(
-            lit, segments, segmentation, specular_albedo, specular, sure, inferred, options
+            lit, segments, segmentation, specular_albedo, specular, certainty, inferred, options
         )
     with report.step("maps"):
         with ThreadPoolExecutor(num_threads()) as pool:
@@ -189,14 +189,14 @@ def _solved_surfels(
     segmentation: Segmentation,
     s: NDArray[np.float32],
     specular: NDArray[np.float32],
-    sure: NDArray,
+    certainty: NDArray,
     inferred: NDArray,
     options: LightOptions,
 ) -> tuple[SolvedSurfels, NDArray[np.float32]]:
     """Compute the surfels' shading and materials for the views' maps, and their diffuse albedo (N, 3)."""
     surfels, segment = lit.surfels, segmentation.segment
     weight = np.bincount(segment, np.diff(surfels.observations.start))
-    shared, sure_of_r = shared_roughness(segments, segmentation.region_of_segment(), weight)
+    shared, r_confidence = shared_roughness(segments, segmentation.region_of_segment(), weight)
     r = shared[segment]
     is_metal = segments.is_metal[segment]
     albedo = surfel_albedo(surfels, lit.diffuse, specular, s, is_metal)
@@ -206,9 +206,9 @@ def _solved_surfels(
     confidence = surfel_confidence(lit.irradiance.photographed, segments.is_mirror[segment])
     is_lit = lit.diffuse.max(axis=1) > 0  # unknown where no light arrives
     impossible = impossible_shares(surfels, lit.diffuse, is_metal, segmentation.region)
-    of_segment = np.column_stack([segments.confidence[:, :2], sure_of_r])[segment]
+    of_segment = np.column_stack([segments.confidence[:, :2], r_confidence])[segment]
     trust = impossible.trust() * trust_in_hidden(lit.hidden, inferred) * is_lit
-    trust = sure * np.maximum(trust, METAL_TRUST * is_metal)
+    trust = certainty * np.maximum(trust, METAL_TRUST * is_metal)
     confidence *= trust[:, None] * of_segment
     replaced = trust * of_segment[:, 0]
     confidence[:, 0] *= impossible.evidence()
