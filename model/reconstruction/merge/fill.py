@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Fills unobserved texels of an atlas.
 
-In a partly observed chart, such texels get the value of the nearest observed texel of the chart, which fades
-with distance to the chart's typical value, since the border of the observed part is the least accurate; that
-of a hardly observed chart is replaced by that of the other charts of its connected piece. Triangles of
-unobserved charts get the mean of the best observed of the nearest triangles. Texels between charts get the
-value of the nearest texel with a surface, which avoids filtering artefacts at seams and in mip levels.
+In a partly observed chart, such texels get the value of the nearest observed texel of the chart, blended with
+distance into the chart's typical value, since the border of the observed part is the least accurate. In a
+hardly observed chart, the typical value is that of its connected piece. Triangles of unobserved charts get
+the mean of the best observed of the nearest triangles. Texels between charts get the value of the nearest
+texel with a surface, which avoids filtering artefacts at seams and in mip levels.
 ``count`` remains 0 at filled texels.
 """
 
@@ -232,8 +232,8 @@ def typical_values(charts: NDArray, piece: NDArray, means: NDArray, num_seen: ND
     seen = np.bincount(charts, num_seen, num_charts)
     of_chart = _medians(charts, means, num_seen, num_charts)
     of_piece = _medians(piece_of, of_chart, seen, int(piece_of.max()) + 1)[piece_of]
-    around = np.bincount(piece_of, seen)[piece_of]
-    share = seen**2 / np.maximum(seen**2 + (HARDLY_SEEN * around) ** 2, 1e-12)
+    seen_in_piece = np.bincount(piece_of, seen)[piece_of]
+    share = seen**2 / np.maximum(seen**2 + (HARDLY_SEEN * seen_in_piece) ** 2, 1e-12)
     return np.where(seen[:, None] > 0, of_piece + share[:, None] * (of_chart - of_piece), 0.0)
 
 
@@ -244,11 +244,11 @@ def _medians(group: NDArray, values: NDArray, weight: NDArray, num: int) -> NDAr
     total = np.bincount(group, weight, num)
     for column in range(values.shape[1]):
         order = rows[np.lexsort((values[rows, column], group[rows]))]
-        of = group[order]
+        owner = group[order]
         below = np.cumsum(weight[order])
-        start = np.concatenate([[0.0], np.cumsum(total)[:-1]])[of]
-        reached = below - start >= 0.5 * total[of]
-        chosen = order[reached][np.unique(of[reached], return_index=True)[1]]
+        start = np.concatenate([[0.0], np.cumsum(total)[:-1]])[owner]
+        reached = below - start >= 0.5 * total[owner]
+        chosen = order[reached][np.unique(owner[reached], return_index=True)[1]]
         found[group[chosen], column] = values[chosen, column]
     return found
 

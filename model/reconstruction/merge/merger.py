@@ -129,12 +129,12 @@ class MergeOptions:
 
     def rules(self) -> Rules:
         """Convert the options to the parameters of the loop."""
-        see, weights = self.visibility, self.weights
+        visibility, weights = self.visibility, self.weights
         return Rules(
-            np.float32(see.depth_tolerance),
-            np.float32(see.slope_tolerance_px),
-            np.float32(see.slope_limit),
-            see.mode == "trace",
+            np.float32(visibility.depth_tolerance),
+            np.float32(visibility.slope_tolerance_px),
+            np.float32(visibility.slope_limit),
+            visibility.mode == "trace",
             weights != "none",
         )
 
@@ -260,7 +260,7 @@ def _view_arrays(
     cameras = np.zeros((len(views), CAMERA), np.float32)
     depth = np.empty(ends[-1], np.float32)
     packets = np.zeros((ends[-1], PACKET), np.float32)
-    see, weights = options.visibility, options.weights
+    visibility, weights = options.visibility, options.weights
     weight = np.ones((0 if weights == "none" else ends[-1], 3), np.float32)
     typical = _typical_resolution(views)
     for index, (view, num, end) in enumerate(zip(views, sizes, ends, strict=True)):
@@ -279,7 +279,7 @@ def _view_arrays(
         if weights == "none":
             continue
         image = view.depth_z_m.reshape(camera.height_px, camera.width_px)
-        borders = border_weights(image, see.depth_tolerance + see.slope_limit)
+        borders = border_weights(image, visibility.depth_tolerance + visibility.slope_limit)
         weight[span] = borders.reshape(num, 1)
         if view.confidence is not None and weights == "confidence":
             weight[span] *= np.maximum(view.confidence.reshape(num, 3), MIN_WEIGHT)

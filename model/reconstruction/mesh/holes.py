@@ -2,8 +2,8 @@
 """Finds holes of a reconstructed mesh, and fills those in which photographs show a continued surface.
 
 A hole is a simple cycle of boundary edges around which the surface lies in about one plane, and outside of
-the cycle; the rims of vessels and the outlines of open parts are none. Through a window, photographs show a
-surface at another depth, or light: views disagree there about a point on the filling, or it is much brighter
+the cycle, unlike at rims of vessels and outlines of open parts. Through a window, photographs show a surface
+at another depth, or light: views disagree there about a point on the filling, or it is much brighter
 than the surface around it. Such openings are left open. Of those in fewer than two views, small ones are
 filled: data is missing there and daylight would leak in, but a window would be larger.
 """
@@ -158,10 +158,10 @@ def _turn(points: Floats, a: int, b: int, c: int) -> float:
 
 
 def filled(capture: Capture) -> tuple[Capture, int]:
-    """Fill holes of the capture's mesh in which photographs show surface, and small ones that they do not
-    show; also return their number.
+    """Fill holes of the capture's mesh in which photographs show a surface, and small ones that they do
+    not show; also return their number.
 
-    The triangles are a further part at the end, without UVs: the mesh is then to be unwrapped.
+    The added triangles are the last part. The mesh loses its UVs.
     """
     geometry = capture.geometry
     holes = find_holes(geometry.mesh, geometry.emitter_mask())
@@ -184,8 +184,9 @@ def filled(capture: Capture) -> tuple[Capture, int]:
 def _is_surface(
     capture: Capture, positions: Floats, corners: Ints, holes: Sequence[Hole], patches: Sequence[Ints]
 ) -> NDArray[np.bool_]:
-    """Mask (H,) of the holes in which photographs show a surface that continues the one around it, or which
-    they do not show and which are small."""
+    """Compute the mask (H,) of the holes to fill: those in which photographs show a continued surface, and
+    small ones that too few photographs show.
+    """
     random = np.random.default_rng(0x686F6C65)
     triangles = [t for hole, patch in zip(holes, patches, strict=True) for t in (patch, corners[hole.around])]
     points = np.concatenate([_points_on(positions[t], random) for t in triangles])
@@ -207,7 +208,7 @@ def _diagonal(positions: NDArray) -> float:
 
 
 def _medians(values: Floats) -> Floats:
-    """Upper median over the last axis without NaN; NaN if there is no other value."""
+    """Compute the upper median over the last axis, ignoring NaN; NaN if all values are."""
     ordered = np.sort(values, axis=-1)  # NaN last
     count = np.isfinite(values).sum(axis=-1)
     index = np.minimum(count // 2, values.shape[-1] - 1)
@@ -242,15 +243,15 @@ def _seen_radiance(capture: Capture, scene: mi.Scene, points: Floats) -> tuple[F
 
 
 def _is_visible(scene: mi.Scene, eye: Floats, points: Floats) -> NDArray[np.bool_]:
-    """Mask (P,) of the points that nothing hides from ``eye``."""
+    """Compute the mask (P,) of the points that are visible from ``eye``."""
     import mitsuba as mi
 
     if not len(points):
         return np.zeros(0, np.bool_)
-    way = points - eye
-    distance = np.linalg.norm(way, axis=1)
+    offset = points - eye
+    distance = np.linalg.norm(offset, axis=1)
     start = np.broadcast_to(eye, points.shape)
-    origin, direction = mi.Point3f(vectors_from_rows(start)), vectors_from_rows(way / distance[:, None])
+    origin, direction = mi.Point3f(vectors_from_rows(start)), vectors_from_rows(offset / distance[:, None])
     reach: Any = mi.Float(distance * (1 - _NEAR))
     ray = mi.Ray3f(mi.Ray3f(origin, direction), reach)
     return np.asarray(~scene.ray_test(ray).numpy().astype(bool), np.bool_)

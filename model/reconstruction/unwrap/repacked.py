@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Chooses the atlas size, and scales an unwrap's charts, for texels as fine as the pixels that show them.
 
-A lawn outside the windows may be twenty times as large as the room, so at one scale for all charts most
-texels would show what no photograph does. Charts therefore get as many texels per metre as views have pixels,
-and large unphotographed ones fewer, unless this saves little.
+A lawn outside the windows may be twenty times as large as the room, so at one scale for all charts
+most texels would be of unphotographed surfaces. Charts therefore get as many texels per metre as views have
+pixels, and large unphotographed ones fewer, unless this saves little.
 """
 
 from __future__ import annotations
