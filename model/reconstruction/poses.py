@@ -60,7 +60,7 @@ class MendedPoses:
 
 
 @dataclass(frozen=True)
-class _Look:
+class _ViewImage:
     """Ln luminance (H, W) of a view, its derivatives by x and y per pixel, depth in metres (H, W), and points
     (N, 3) on its surfaces.
     """
@@ -73,13 +73,13 @@ class _Look:
 
 def mended_poses(views: Sequence[TracedView]) -> MendedPoses:
     """Correct the camera poses of ``views``, whose colours must have one exposure."""
-    looks = [_look(view, number) for number, view in enumerate(views)]
-    given = [view.camera.camera_from_world for view in views]
-    poses = [pose.copy() for pose in given]
+    view_images = [_view_image(view, number) for number, view in enumerate(views)]
+    initial = [view.camera.camera_from_world for view in views]
+    poses = [pose.copy() for pose in initial]
     lenses = [view.camera for view in views]
     before = after = 0.0
     for number in range(ROUNDS + 1):
-        steps = [_step(looks, lenses, poses, given, index) for index in range(len(views))]
+        steps = [_step(view_images, lenses, poses, initial, index) for index in range(len(views))]
         residuals = [residual for _, residual in steps if residual is not None]
         after = float(np.median(residuals)) if residuals else 0.0
         before = before if number else after
@@ -88,9 +88,9 @@ def mended_poses(views: Sequence[TracedView]) -> MendedPoses:
     if after >= (1 - MIN_GAIN) * before:
         nothing = np.zeros(len(views))
         return MendedPoses(tuple(lenses), nothing, nothing, (before, after))
-    drift = np.mean([_center(new) - _center(old) for new, old in zip(poses, given, strict=True)], axis=0)
+    drift = np.mean([_center(new) - _center(old) for new, old in zip(poses, initial, strict=True)], axis=0)
     cameras, moved, turned = [], [], []
-    for lens, pose, old in zip(lenses, poses, given, strict=True):
+    for lens, pose, old in zip(lenses, poses, initial, strict=True):
         world = np.linalg.inv(pose)
         world[:3, 3] -= drift
         cameras.append(replace(lens, world_from_camera=world))
@@ -108,7 +108,7 @@ def _transform(step: NDArray) -> NDArray[np.float64]:
     return affine(Rotation.from_rotvec(step[:3]).as_matrix(), step[3:])
 
 
-def _look(view: TracedView, number: int) -> _Look:
+def _view_image(view: TracedView, number: int) -> _ViewImage:
     import cv2
 
     shown = luminance(view.color.astype(np.float64))
@@ -130,7 +130,7 @@ def _look(view: TracedView, number: int) -> _Look:
     chosen = np.argsort(-(random ** (1 / np.maximum(strength, 1e-6))), kind="stable")[:MAX_POINTS]
     rows, columns = rows[chosen], columns[chosen]
     points = view.camera.unproject(np.stack([columns, rows], axis=1) + 0.5, depth[rows, columns])
-    return _Look(image, gradient, depth, points)
+    return _ViewImage(image, gradient, depth, points)
 
 
 def _projected(lens: Camera, pose: NDArray, points: NDArray) -> tuple[NDArray[np.float64], ...]:
@@ -156,22 +156,22 @@ def _is_inside(lens: Camera, local: NDArray, x: NDArray, y: NDArray) -> NDArray[
 
 
 def _expected(
-    looks: Sequence[_Look], lenses: Sequence[Camera], poses: Sequence[NDArray], index: int
+    view_images: Sequence[_ViewImage], lenses: Sequence[Camera], poses: Sequence[NDArray], index: int
 ) -> NDArray[np.float64]:
     """Compute the median ln luminance (N,) of a view's points in the other views; NaN where fewer than
     ``MIN_OTHERS`` views show a point.
     """
-    points, found = looks[index].points, []
-    for other, (look, lens, pose) in enumerate(zip(looks, lenses, poses, strict=True)):
+    points, found = view_images[index].points, []
+    for other, (view_image, lens, pose) in enumerate(zip(view_images, lenses, poses, strict=True)):
         if other == index:
             continue
         local, x, y = _projected(lens, pose, points)
         seen = _is_inside(lens, local, x, y)
-        depth = look.depth[np.clip(np.round(y), 0, lens.height_px - 1).astype(np.int64),
+        depth = view_image.depth[np.clip(np.round(y), 0, lens.height_px - 1).astype(np.int64),
                            np.clip(np.round(x), 0, lens.width_px - 1).astype(np.int64)]  # fmt: skip
         seen &= np.abs(local[:, 2] - depth) < SAME_DEPTH * depth
         if seen.sum() >= MIN_POINTS:
-            found.append(np.where(seen, _sampled(look.image, x, y), np.nan))
+            found.append(np.where(seen, _sampled(view_image.image, x, y), np.nan))
     found.sort(key=lambda values: -int(np.isfinite(values).sum()))
     if len(found) < MIN_OTHERS:
         return np.full(len(points), np.nan)
@@ -183,18 +183,18 @@ def _expected(
 
 
 def _step(
-    looks: Sequence[_Look],
+    view_images: Sequence[_ViewImage],
     lenses: Sequence[Camera],
     poses: Sequence[NDArray],
-    given: Sequence[NDArray],
+    initial: Sequence[NDArray],
     index: int,
 ) -> tuple[NDArray[np.float64], float | None]:
     """Compute the Gauss-Newton step (6,) of a view's pose, a rotation vector and a translation, and the
     median absolute residual; 0 and None with fewer than ``MIN_POINTS`` points.
     """
-    look, lens = looks[index], lenses[index]
-    local, x, y = _projected(lens, poses[index], look.points)
-    rest = _sampled(look.image, x, y) - _expected(looks, lenses, poses, index)
+    view_image, lens = view_images[index], lenses[index]
+    local, x, y = _projected(lens, poses[index], view_image.points)
+    rest = _sampled(view_image.image, x, y) - _expected(view_images, lenses, poses, index)
     used = np.isfinite(rest) & _is_inside(lens, local, x, y)
     if used.sum() < MIN_POINTS:
         return np.zeros(6), None
@@ -202,7 +202,7 @@ def _step(
     rest -= np.median(rest)  # removes the remaining difference in exposure
     spread = max(1.4826 * float(np.median(np.abs(rest))), 1e-3)
     weight = 1 / (1 + (rest / (2 * spread)) ** 2) / spread**2 / _CORRELATED
-    gx, gy = _sampled(look.gradient[0], x, y), _sampled(look.gradient[1], x, y)
+    gx, gy = _sampled(view_image.gradient[0], x, y), _sampled(view_image.gradient[1], x, y)
     px, py, pz = local.T
     by_x, by_y = gx * lens.fx_px / pz, gy * lens.fy_px / pz
     by_z = -(by_x * px + by_y * py) / pz
@@ -210,8 +210,8 @@ def _step(
         [by_z * py - by_y * pz, by_x * pz - by_z * px, by_y * px - by_x * py, by_x, by_y, by_z], axis=1
     )
     prior = np.array([np.radians(SPREAD_DEG)] * 3 + [SPREAD_M] * 3) ** -2.0
-    away = poses[index] @ np.linalg.inv(given[index])
-    moved = np.concatenate([Rotation.from_matrix(away[:3, :3]).as_rotvec(), away[:3, 3]])
+    correction = poses[index] @ np.linalg.inv(initial[index])
+    moved = np.concatenate([Rotation.from_matrix(correction[:3, :3]).as_rotvec(), correction[:3, 3]])
     hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
     step = np.linalg.solve(hessian, -jacobian.T @ (weight * rest) - prior * moved)
     return _STEP * step, float(np.median(np.abs(rest)))
