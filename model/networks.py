@@ -78,7 +78,7 @@ class NetworkConfig(StrictModel):
 
     @field_validator("arguments")
     @classmethod
-    def _survive_json(cls, arguments: dict[str, Any]) -> dict[str, Any]:
+    def _round_trip_json(cls, arguments: dict[str, Any]) -> dict[str, Any]:
         # checkpoints restore the network, and runs are compared when resumed, from JSON
         try:
             is_same = json.loads(json.dumps(arguments, allow_nan=False)) == arguments
@@ -283,7 +283,7 @@ class _Down(Layer):
 
 
 def _strip_rows(x: Tensor) -> int:
-    """Rows of x per strip of about ``STRIP_ELEMENTS`` upsampled values; all if x has no more values."""
+    """Rows of x per strip of about ``STRIP_ELEMENTS`` upsampled values; all rows if x is at most as large."""
     count = x.numel()
     return x.shape[2] if count <= STRIP_ELEMENTS else max(1, x.shape[2] * STRIP_ELEMENTS // (4 * count))
 

@@ -125,15 +125,15 @@ def photos(
     reading, inference = CaptureOptions(**asdict(frame)), InferOptions(**asdict(options))
     wanted = replace(steps, reading=reading, inference=inference)
     source = CheckpointMaps(checkpoint or bundled_checkpoint())
-    say = partial(typer.echo, err=True)
+    echo = partial(typer.echo, err=True)
     try:
         with Bars(is_quiet=quiet) as bars:
-            made = make_asset(folder, out, source, wanted, bars.tell, say)
+            made = make_asset(folder, out, source, wanted, bars.tell, echo)
     except KeyboardInterrupt:
         typer.echo("stopped; the same command continues", err=True)
         raise typer.Exit(130) from None
     for text in () if made.report is None else (*made.report.warnings, *made.report.notes):
-        say(f"note: {text}")
+        echo(f"note: {text}")
     for path in (out / "asset", out / "report.html", made.turntable):
         typer.echo(str(path))
 

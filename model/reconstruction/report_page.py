@@ -67,7 +67,7 @@ def _lights(light: dict[str, Any]) -> str:
         name = f"{html.escape(row['slot'])} {swatch}"
         rows.append((name, KINDS[row["kind"]], *light_cells(row)))
     heads = ("light", "kind", "middle x y z (m)", "area (m2)", "radiance R G B", "power R G B", "gain R G B")
-    found = _table(heads, rows) if rows else "<p>None was found.</p>"
+    found = _table(heads, rows) if rows else "<p>No light was found.</p>"
     return (
         "<h2>Lights</h2><p>Lamps and windows with their recovered radiance, in the photographs' unit; power "
         "is pi times area and radiance, in W if radiance is in W/(m2 sr); the sun has the irradiance of a "

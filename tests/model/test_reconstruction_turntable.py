@@ -274,5 +274,5 @@ def test_command_and_wrong_input(asset: Path, tmp_path: Path) -> None:
         write_turntable(asset, tmp_path / "room.avi")
     with pytest.raises(InputError, match="frames = 1"):
         TurntableOptions(frames=1)
-    with pytest.raises(InputError, match=r"frames a second = 0\.001; expected 0\.01 to 100"):
+    with pytest.raises(InputError, match=r"frames per second = 0\.001; expected 0\.01 to 100"):
         TurntableOptions(frames_per_second=0.001)  # a delay that GIF cannot store

@@ -43,7 +43,7 @@ TURNTABLE = "turntable.gif"
 
 
 @dataclass(frozen=True)
-class Made:
+class PhotosResult:
     """Report of the inference, None if the asset existed before, and path of the turntable."""
 
     report: InferReport | None
@@ -80,8 +80,8 @@ def make_asset(
     source: MapSource,
     options: PhotosOptions,
     tell: Progress,
-    say: Callable[[str], None],
-) -> Made:
+    echo: Callable[[str], None],
+) -> PhotosResult:
     """Make an asset in ``out`` from the photographs or capture ``folder``, without repeating finished steps.
 
     Raises :class:`InputError` if the input is invalid, a program is missing or fails, or ``out`` contains the
@@ -92,9 +92,9 @@ def make_asset(
         refuse_unused(folder, options.reading)
         given = read_capture(folder, options.reading)
     photographs = [] if given else photographs_in(folder)
-    run = ColmapRun(options.program, folder, photographs, out / "colmap", say)
+    run = ColmapRun(options.program, folder, photographs, out / "colmap", echo)
     if not given and not run.has_cameras and shutil.which(options.program) is None:
-        say(run.commands())
+        echo(run.commands())
         remedy = "install it and give the same command again, or run the commands above"
         raise InputError(Problem(options.program, "", "no such program", "COLMAP 3.7 or later", remedy))
     own_mesh = options.reading.mesh
@@ -116,15 +116,15 @@ def make_asset(
     if not (out / "report.json").is_file():
         registered = len(capture.views)
         if registered < len(photographs):
-            say(f"COLMAP found the poses of {registered} of {len(photographs)} photographs")
+            echo(f"COLMAP found the poses of {registered} of {len(photographs)} photographs")
         report = infer(replace(capture, name="room"), out, source, inference, tell)
     turntable = out / TURNTABLE
     if not turntable.is_file():
         relight = RelightOptions(samples=options.samples)
         write_turntable(
-            out / "asset", turntable, TurntableOptions(frames=options.frames, render=relight), tell, say
+            out / "asset", turntable, TurntableOptions(frames=options.frames, render=relight), tell, echo
         )
-    return Made(report, turntable)
+    return PhotosResult(report, turntable)
 
 
 def _content(capture: Capture) -> list[str]:

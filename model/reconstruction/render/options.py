@@ -36,4 +36,4 @@ class FilmOptions:
             raise input_error("turntable", "frames", self.frames, "2 to 100000", "correct it")
         rate = self.frames_per_second
         if not MIN_RATE <= rate <= 100:
-            raise input_error("turntable", "frames a second", rate, f"{MIN_RATE} to 100", "correct it")
+            raise input_error("turntable", "frames per second", rate, f"{MIN_RATE} to 100", "correct it")
