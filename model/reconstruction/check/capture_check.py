@@ -30,9 +30,9 @@ from model.reconstruction.captures.frames import AXES, z_up_from
 from model.reconstruction.check.edges import match_edges, mesh_edges
 from model.reconstruction.check.judgement import judge
 from model.reconstruction.check.pictures import write_contact_sheets
-from model.reconstruction.check.views import CheckReport, Look, view_warnings
+from model.reconstruction.check.views import CheckReport, EdgeView, view_warnings
 
-__all__ = ["CheckReport", "Look", "check_capture", "check_looks", "check_traced", "view_warnings"]
+__all__ = ["CheckReport", "EdgeView", "check_capture", "check_traced", "check_views", "view_warnings"]
 _MAX_TRIED_VIEWS = 4
 _UNITS = (0.001, 0.01, 0.0254, 0.3048, 100.0, 1000.0)
 _MIN_FIT = 4.0  # minimum of (median score without a shift) x coverage for a mesh that fits
@@ -47,47 +47,47 @@ def check_capture(capture: Capture, out: Path | None = None, progress: Progress 
     tell = progress or (lambda stage, done, total: None)
     select_variant()
     traced = TracedGeometry(capture.geometry)
-    looks = []
+    edge_views = []
     for number, view in enumerate(capture.views, start=1):
         image = view.read()
         pixels = image.color, traced.trace_view(view.camera, image.valid_mask), image.valid_mask
-        looks.append(Look(view.camera, *pixels, view.name, image.clipped_mask, image.limit))
+        edge_views.append(EdgeView(view.camera, *pixels, view.name, image.clipped_mask, image.limit))
         tell("check", number, len(capture.views))
-    return check_looks(capture, looks, out)
+    return check_views(capture, edge_views, out)
 
 
 def check_traced(traced: TracedCapture, out: Path, progress: Advance) -> CheckReport:
     """Check a capture that is already read and traced, as :func:`check_capture` does."""
-    return check_looks(traced.capture, [Look(**vars(view)) for view in traced.views], out, progress)
+    return check_views(traced.capture, [EdgeView(**vars(view)) for view in traced.views], out, progress)
 
 
-def check_looks(
-    capture: Capture, looks: Sequence[Look], out: Path | None, progress: Advance = no_advance
+def check_views(
+    capture: Capture, edge_views: Sequence[EdgeView], out: Path | None, progress: Advance = no_advance
 ) -> CheckReport:
     """Check views, read and traced with the selected Mitsuba variant, as :func:`check_capture` does."""
-    if not any((look.geometry.face >= 0).any() for look in looks):
-        raise _nothing_seen(capture, looks)
-    sides = seen_sides([look.geometry for look in looks], len(capture.geometry.mesh.faces))
+    if not any((edge_view.geometry.face >= 0).any() for edge_view in edge_views):
+        raise _nothing_seen(capture, edge_views)
+    sides = seen_sides([edge_view.geometry for edge_view in edge_views], len(capture.geometry.mesh.faces))
     report = CheckReport(capture.name, [], notes=list(capture.notes))
     with ThreadPoolExecutor(num_threads()) as pool:
-        for checked in pool.map(lambda look: look.checked(sides), looks):
+        for checked in pool.map(lambda edge_view: edge_view.checked(sides), edge_views):
             report.views.append(checked)
-            progress(len(report.views), len(looks))
-    judge(report, looks)
+            progress(len(report.views), len(edge_views))
+    judge(report, edge_views)
     if report.fit * float(np.median([view.coverage for view in report.views])) < _MIN_FIT:
-        _try_other_frames(report, capture, looks)
+        _try_other_frames(report, capture, edge_views)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        edges = [look.edges for look in looks]
-        write_contact_sheets(out, report, [look.color for look in looks], edges)
+        edges = [edge_view.edges for edge_view in edge_views]
+        write_contact_sheets(out, report, [edge_view.color for edge_view in edge_views], edges)
         write_bytes_atomically(out / "check.json", canonical_json(report.table()))
     return report
 
 
-def _try_other_frames(report: CheckReport, capture: Capture, looks: Sequence[Look]) -> None:
+def _try_other_frames(report: CheckReport, capture: Capture, edge_views: Sequence[EdgeView]) -> None:
     """Add a warning that the mesh does not fit, and the up axis or unit, if any, that fits some views."""
-    step = max(1, len(looks) // _MAX_TRIED_VIEWS)
-    chosen = looks[::step][:_MAX_TRIED_VIEWS]
+    step = max(1, len(edge_views) // _MAX_TRIED_VIEWS)
+    chosen = edge_views[::step][:_MAX_TRIED_VIEWS]
     in_file = z_up_from(capture.mesh_up).T
     now = _fit_of(capture, np.eye(3), chosen)
     best, name = max(_BETTER * now, _MIN_FIT), ""
@@ -110,25 +110,25 @@ def _try_other_frames(report: CheckReport, capture: Capture, looks: Sequence[Loo
         )
 
 
-def _fit_of(capture: Capture, linear: NDArray[np.float64], looks: Sequence[Look]) -> float:
+def _fit_of(capture: Capture, linear: NDArray[np.float64], edge_views: Sequence[EdgeView]) -> float:
     """Compute the fit of the mesh transformed by ``linear`` (3, 3): the median over views of
     ``EdgeMatch.at_zero`` times the share of pixels that show the mesh.
     """
     mesh = replace(capture.geometry.mesh.transformed(affine(linear)), normals=None)
     traced = TracedGeometry(CaptureGeometry(mesh, capture.geometry.parts))
     scores = []
-    for look in looks:
-        geometry = traced.trace_view(look.camera, look.valid_mask)
-        found = match_edges(mesh_edges(geometry, look.camera), look.field, look.radius_px)
+    for edge_view in edge_views:
+        geometry = traced.trace_view(edge_view.camera, edge_view.valid_mask)
+        found = match_edges(mesh_edges(geometry, edge_view.camera), edge_view.field, edge_view.radius_px)
         coverage = float((geometry.face >= 0).mean())
         scores.append(0.0 if found is None else found.at_zero * coverage)
     return float(np.median(scores))
 
 
-def _nothing_seen(capture: Capture, looks: Sequence[Look]) -> Exception:
+def _nothing_seen(capture: Capture, edge_views: Sequence[EdgeView]) -> Exception:
     mesh = capture.geometry.mesh
     low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
-    centers = np.array([look.camera.position_m for look in looks])
+    centers = np.array([edge_view.camera.position_m for edge_view in edge_views])
     got = (
         f"no view sees the mesh: it spans {_box(low, high)}, the cameras "
         f"{_box(centers.min(axis=0), centers.max(axis=0))}"

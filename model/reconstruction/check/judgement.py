@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
 from model.reconstruction.check.edges import EdgeMatch
-from model.reconstruction.check.views import SEARCH_RAD, SURE, CheckReport, Look, ViewCheck
+from model.reconstruction.check.views import SEARCH_RAD, SURE, CheckReport, EdgeView, ViewCheck
 
 # minimum reported offset and error of scale, and their minimum in standard deviations
 _OFFSET_M, _SCALE, _SIGMAS = 0.008, 0.004, 3.0
@@ -124,7 +124,7 @@ def _registration(
     return Registration(offset, scale, [(float(x), float(y)) for x, y in rest], middle)
 
 
-def judge(report: CheckReport, looks: Sequence[Look]) -> None:
+def judge(report: CheckReport, edge_views: Sequence[EdgeView]) -> None:
     """Set ``fit``, ``offset_m`` and ``scale`` of ``report``, and add warnings about mesh and views."""
     with_edges = [view.edges for view in report.views if view.edges is not None]
     report.fit = float(np.median([edges.at_zero for edges in with_edges])) if with_edges else 0.0
@@ -141,9 +141,11 @@ def judge(report: CheckReport, looks: Sequence[Look]) -> None:
             "scale in the cameras' frame, is off by this factor; correct it and check again"
         )
         return  # a wrong scale shifts the edges in all views, so shifts do not indicate other errors
-    pairs = [(view, look) for view, look in zip(report.views, looks, strict=True) if view.is_judged]
+    pairs = [
+        (view, edge_view) for view, edge_view in zip(report.views, edge_views, strict=True) if view.is_judged
+    ]
     registration = common_error(
-        [(look.camera, view.depth_m, view.edges) for view, look in pairs if view.edges is not None]
+        [(edge_view.camera, view.depth_m, view.edges) for view, edge_view in pairs if view.edges is not None]
     )
     report.offset_m = None if registration is None else registration.offset_m
     report.scale = 1.0 if registration is None else registration.scale
@@ -164,11 +166,11 @@ def judge(report: CheckReport, looks: Sequence[Look]) -> None:
     left_px = {view.name: view.edges.peak_px for view, _ in pairs if view.edges is not None}
     if registration is not None:
         left_px = dict(zip(left_px, registration.left_px, strict=True))
-    _judge_zooms(report, looks, registration)
+    _judge_zooms(report, edge_views, registration)
     is_fitting = len(pairs) >= 0.5 * len(with_edges)
-    for view, look in zip(report.views, looks, strict=True):
+    for view, edge_view in zip(report.views, edge_views, strict=True):
         if view.edges is not None and not view.warnings:
-            _judge_shift(view, look, left_px.get(view.name), is_fitting)
+            _judge_shift(view, edge_view, left_px.get(view.name), is_fitting)
 
 
 def _common_zoom(report: CheckReport) -> float | None:
@@ -182,17 +184,20 @@ def _common_zoom(report: CheckReport) -> float | None:
     return 1 + middle if abs(middle) >= _MIN_ZOOM and is_common else None
 
 
-def _judge_zooms(report: CheckReport, looks: Sequence[Look], registration: Registration | None) -> None:
+def _judge_zooms(
+    report: CheckReport, edge_views: Sequence[EdgeView], registration: Registration | None
+) -> None:
     """Add warnings to views whose cameras are rolled, or too far forward or backward."""
     zoomed = []
-    for view, look in zip(report.views, looks, strict=True):
+    for view, edge_view in zip(report.views, edge_views, strict=True):
         warp = view.warp
         if warp is None or view.warnings or warp.at_peak < SURE:
             continue
         moved = 0.0
         if registration is not None:
             moved = (
-                float(registration.moved_m(look.camera.position_m) @ look.camera.forward) / view.zoom_depth_m
+                float(registration.moved_m(edge_view.camera.position_m) @ edge_view.camera.forward)
+                / view.zoom_depth_m
             )
         is_rolled = warp.roll_gain >= _SURE_GAIN and abs(warp.roll_rad) >= _MIN_ROLL_RAD
         excess = abs(warp.zoom - 1 - moved)
@@ -215,16 +220,18 @@ def _judge_zooms(report: CheckReport, looks: Sequence[Look], registration: Regis
         )
 
 
-def _judge_shift(view: ViewCheck, look: Look, left_px: tuple[float, float] | None, is_fitting: bool) -> None:
+def _judge_shift(
+    view: ViewCheck, edge_view: EdgeView, left_px: tuple[float, float] | None, is_fitting: bool
+) -> None:
     """Add a warning to a view whose edges are shifted too far or do not match.
 
     ``left_px``: the shift (dx, dy) left by the common error, None if ambiguous.
     """
     assert view.edges is not None
     is_lost = left_px is None
-    if left_px is not None and view.edges.surely_px(left_px) > look.tolerance_px():
+    if left_px is not None and view.edges.surely_px(left_px) > edge_view.tolerance_px():
         shift = float(np.hypot(*left_px))
-        degrees = np.degrees(np.arctan(shift / look.camera.fx_px))
+        degrees = np.degrees(np.arctan(shift / edge_view.camera.fx_px))
         is_lost = bool(np.radians(degrees) > SEARCH_RAD)
         if not is_lost:
             view.warnings.append(

@@ -110,7 +110,7 @@ def view_warnings(view: TracedView) -> list[str]:
     return found
 
 
-class Look(TracedView):
+class EdgeView(TracedView):
     """A traced view with its edges, which are computed on first use."""
 
     @cached_property
