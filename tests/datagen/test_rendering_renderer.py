@@ -220,6 +220,19 @@ def test_later_samples_continue_the_sequence(room: SceneRenderer) -> None:
     assert total.radiance == pytest.approx(whole.radiance, rel=1e-5, abs=1e-5)
 
 
+def test_the_denoiser_does_not_import_torch() -> None:
+    """Importing torch would take longer than a small configuration, and 200 MB in each worker."""
+    code = (
+        "import sys\n"
+        "import numpy as np\n"
+        "from datagen.rendering.denoiser import OidnDenoiser\n"
+        "image = np.full((16, 16, 3), 0.5, np.float32)\n"
+        "assert np.isfinite(OidnDenoiser().denoise(image, image, image)).all()\n"
+        "assert 'pyoidn' in sys.modules and 'torch' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, check=True)
+
+
 def test_denoiser_keeps_the_energy_and_removes_the_noise(room: SceneRenderer) -> None:
     view = room.render_view(1)
     sensor = room.sensor(CAMERAS[1])
