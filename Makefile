@@ -7,8 +7,9 @@ WORKERS ?= 2
 ONLY ?= tests
 # Processes of pytest: one more than two cores, since many tests wait. Each takes up to 5 GB.
 JOBS ?= 3
-# Idle OpenMP threads sleep, since they would spin on cores that other processes need.
-PYTEST = OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -q -n $(JOBS) --dist loadfile --no-loadscope-reorder
+# Idle OpenMP threads sleep, since they would spin on cores that other processes need. Bytecode is kept even where
+# the environment forbids it (containers), since the tests start hundreds of processes.
+PYTEST = OMP_WAIT_POLICY=PASSIVE PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -q -n $(JOBS) --dist loadfile --no-loadscope-reorder
 FAST := $(addprefix tests/,test_architecture.py mitsuba_plugins/test_variant.py \
   datagen/test_formats.py datagen/test_package.py datagen/test_library.py datagen/test_importers_gltf.py \
   datagen/test_importers_material_folder.py datagen/test_assembly_random.py datagen/test_assembly_materials.py \
