@@ -104,8 +104,10 @@ def _photographs(out: Path) -> None:
     from model.reconstruction.captures.read import read_capture
     from tests.model.test_reconstruction_captures import quaternion_of
 
-    rooms = out.parent / "rooms"
-    _rooms(rooms)
+    rooms = out.parents[1] / "rooms" / "rooms"
+    if not rooms.exists():  # as the stand-in of this name
+        rooms.parent.mkdir()
+        _rooms(rooms)
     capture = read_capture(sorted((rooms / "shards").glob("*.tar"))[0])
     cameras, images = [], []
     (out / "images").mkdir(parents=True)
