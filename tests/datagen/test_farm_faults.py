@@ -58,6 +58,14 @@ def expected(undisturbed: DatasetFolder) -> dict[str, str]:
     return _hashes(undisturbed)
 
 
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory, library_root: Path) -> DatasetFolder:
+    """A dataset of rendered views without statistics; tests use copies of it."""
+    folder = plan_small(tmp_path_factory.mktemp("rendered") / "dataset", library_root)
+    run_local(folder.root, LocalOptions(stages=("render",)))
+    return folder
+
+
 def _copy(folder: DatasetFolder, root: Path, without: tuple[int, ...] = ()) -> DatasetFolder:
     """Copy a dataset to ``root``; in the copy, units with the indices ``without`` are unfinished."""
     shutil.copytree(folder.root, root)
@@ -162,7 +170,7 @@ def _kill_at_random(
 
 
 def _check_completes(folder: DatasetFolder, expected: dict[str, str]) -> None:
-    summary = run_local(folder.root, LocalOptions(workers=2))
+    summary = run_local(folder.root, LocalOptions(workers=1))
     assert not summary.failures
     assert _hashes(folder) == expected
     assert len(list(folder.shards_path.glob("*.tar"))) == len(expected)
@@ -223,10 +231,12 @@ def test_kill_at_a_chosen_moment(
     _check_completes(folder, expected)
 
 
-def test_full_disk_keeps_finished_views(expected: dict[str, str], tmp_path: Path, library_root: Path) -> None:
+def test_full_disk_keeps_finished_views(
+    expected: dict[str, str], tmp_path: Path, rendered: DatasetFolder
+) -> None:
     """A file-size limit makes writing the shard fail as on a full disk; the views are kept."""
-    folder = plan_small(tmp_path / "full", library_root)
-    run_local(folder.root, LocalOptions(stages=("render", "stats"), only=(0,)))
+    folder = _copy(rendered, tmp_path / "full")
+    run_local(folder.root, LocalOptions(stages=("stats",), only=(0,)))
     limit = 60_000  # smaller than the shard
 
     def limit_files() -> None:
@@ -324,10 +334,9 @@ def test_changed_configurations_are_refused(tmp_path: Path, undisturbed: Dataset
 
 
 def test_damaged_views_and_leftovers_are_replaced(
-    expected: dict[str, str], tmp_path: Path, library_root: Path
+    expected: dict[str, str], tmp_path: Path, rendered: DatasetFolder
 ) -> None:
-    folder = plan_small(tmp_path / "damaged", library_root)
-    run_local(folder.root, LocalOptions(stages=("render",)))
+    folder = _copy(rendered, tmp_path / "damaged")
     views = sorted(folder.root.glob("work/*/rendered/*.exr"))
     views[0].write_bytes(views[0].read_bytes()[:100])
     flipped = bytearray(views[1].read_bytes())
@@ -339,9 +348,10 @@ def test_damaged_views_and_leftovers_are_replaced(
     _check_completes(folder, expected)
 
 
-def test_clock_set_back_changes_nothing(expected: dict[str, str], tmp_path: Path, library_root: Path) -> None:
-    folder = plan_small(tmp_path / "clock", library_root)
-    run_local(folder.root, LocalOptions(stages=("render",)))
+def test_clock_set_back_changes_nothing(
+    expected: dict[str, str], tmp_path: Path, rendered: DatasetFolder
+) -> None:
+    folder = _copy(rendered, tmp_path / "clock")
     for path in folder.root.rglob("*"):
         os.utime(path, (4102444800, 4102444800))  # dated 2100
     heartbeat = next(folder.root.glob("work/*")) / "running"
