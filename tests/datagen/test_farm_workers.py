@@ -34,9 +34,9 @@ def run_unit(run, stages):
         print(run.unit.id, os.getpid(), file=file)
     if fault == "grow":
         kept.append(os.urandom(60 << 20))
-    elif run.unit.index == 1 and fault == "abort":
+    elif run.unit.index == 1 and fault == "die":
         os.abort()
-    elif run.unit.index == 1 and fault == "kill":
+    elif run.unit.index == 2 and fault == "die":
         os.kill(os.getpid(), signal.SIGKILL)  # as the kernel does when memory runs out
     elif run.unit.index == 1 and fault == "exhaust":
         raise MemoryError("std::bad_alloc")
@@ -102,32 +102,47 @@ def test_workers_are_replaced_when_their_memory_has_grown(tmp_path: Path, librar
     assert len(steady["done"]) == 5 and _units_a_process(attempts) == [5]
 
 
+Deaths = tuple[DatasetFolder, dict, list[tuple[str, int]]]
+
+
+@pytest.fixture(scope="module")
+def deaths(tmp_path_factory: pytest.TempPathFactory, library_root: Path) -> dict[str, Deaths]:
+    """Folder, summary and attempts of a run by fault: units 1 and 2 die, or unit 1 exhausts the memory."""
+    found = {}
+    for fault, num_units in (("die", 4), ("exhaust", 3)):
+        root = tmp_path_factory.mktemp(fault) / "a set"
+        folder = plan_small(root, library_root, num_units=num_units, num_views=1)
+        found[fault] = folder, *_run(folder, fault, attempts=2)
+    return found
+
+
 @pytest.mark.parametrize(
-    ("fault", "reason"),
+    ("fault", "index", "reason"),
     [
-        ("abort", "the worker process was ended by SIGABRT"),
-        ("kill", "the worker process was ended by SIGKILL (out of memory?)"),
-        ("exhaust", "MemoryError: std::bad_alloc"),
+        ("die", 1, "the worker process was ended by SIGABRT"),
+        ("die", 2, "the worker process was ended by SIGKILL (out of memory?)"),
+        ("exhaust", 1, "MemoryError: std::bad_alloc"),
     ],
 )
 def test_a_worker_that_dies_loses_its_unit_only(
-    fault: str, reason: str, tmp_path: Path, library_root: Path
+    fault: str, index: int, reason: str, deaths: dict[str, Deaths]
 ) -> None:
     """The unit is retried in a new process, then recorded as failed with log and command."""
-    folder = plan_small(tmp_path / "a set", library_root, num_views=1)
-    summary, attempts = _run(folder, fault, attempts=2)
-    assert sorted(summary["done"]) == ["small-00000", "small-00002"]
-    (failure,) = summary["failures"]
-    assert (failure["id"], failure["attempts"], failure["reason"]) == ("small-00001", 2, reason)
-    assert folder.read_failure("small-00001").model_dump() == failure
-    tries = [process for unit, process in attempts if unit == "small-00001"]
+    folder, summary, attempts = deaths[fault]
+    unit, last = f"small-{index:05d}", len(folder.read_plan().units) - 1
+    assert sorted(summary["done"]) == ["small-00000", f"small-{last:05d}"]
+    assert len(summary["failures"]) == last - 1
+    (failure,) = [failure for failure in summary["failures"] if failure["id"] == unit]
+    assert (failure["attempts"], failure["reason"]) == (2, reason)
+    assert folder.read_failure(unit).model_dump() == failure
+    tries = [process for tried, process in attempts if tried == unit]
     assert len(tries) == len(set(tries)) == 2, "in a fresh process each"
     assert (folder.root / failure["log"]).is_file()
     command = [sys.executable, "-m", *shlex.split(failure["command"])]
     assert subprocess.run(command, cwd=REPOSITORY, capture_output=True).returncode == 0, (
         "nothing kills it here"
     )
-    assert run_local(folder.root, LocalOptions()).already_done == 3
+    assert run_local(folder.root, LocalOptions(only=(0, index, last))).already_done == 3
 
 
 def test_outcomes_during_a_stop_count(tmp_path: Path, library_root: Path) -> None:
