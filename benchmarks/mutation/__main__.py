@@ -3,7 +3,7 @@
 
     python -m benchmarks.mutation [TARGET ...] [--number N] [--seed S] [--again] [--work DIR] [--out FILE]
 
-For each target (targets.py) the tests run once with line tracing; then a seeded sample of the mutants on
+For each target (targets.yaml) the tests run once with line tracing; then a seeded sample of the mutants on
 those lines is tried, each with the tests that run its line, fastest first, until one fails. Everything
 happens in a copy of the project below ``--work``. Results are written after each mutant to ``--out``; the
 same command resumes after them, and ``--again`` repeats the survivors. A mutant is identified by its
