@@ -44,6 +44,7 @@ from tests.model.rendered_capture import SIZE, make_shard
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 SAMPLES = 64
+SMALL_SIZE = (SIZE[0] // 2, SIZE[1] // 2)
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,10 @@ class Rendered:
 
     def capture(self) -> Capture:
         return read_capture(self.shard)
+
+    def small_capture(self) -> Capture:
+        """The capture with views of :data:`SMALL_SIZE`."""
+        return read_capture(self.shard, CaptureOptions(max_width_px=SMALL_SIZE[0]))
 
 
 @pytest.fixture(scope="module")
@@ -317,7 +322,9 @@ def test_assets_can_be_relit_and_get_inserted_objects(
 def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.MonkeyPatch) -> None:
     """Stopped after three views, inference predicts only the rest, identically; other tasks are refused."""
     options = InferOptions(atlas=128, precision="float32", batch=2, has_exr=False)
-    whole = infer(rendered.capture(), rendered.root / "whole", CheckpointMaps(rendered.checkpoint), options)
+    whole = infer(
+        rendered.small_capture(), rendered.root / "whole", CheckpointMaps(rendered.checkpoint), options
+    )
     assert whole.is_filtered and whole.precision == "float32" and whole.exposure > 0
     assert {"trace", "statistics", "predict", "unwrap", "merge", "fill", "export"} <= set(whole.seconds)
     assert "total" in whole.table()
@@ -328,12 +335,12 @@ def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.Mo
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        infer(rendered.capture(), part, CheckpointMaps(rendered.checkpoint), options, stop)
+        infer(rendered.small_capture(), part, CheckpointMaps(rendered.checkpoint), options, stop)
     kept = sorted(path.name for path in (part / "views").iterdir())
     assert len(kept) == 4 and not (part / "report.json").exists()
     before = {name: (part / "views" / name).stat().st_mtime_ns for name in kept}
     (part / "views" / kept[0]).write_bytes(b"damaged")
-    infer(rendered.capture(), part, CheckpointMaps(rendered.checkpoint), options)
+    infer(rendered.small_capture(), part, CheckpointMaps(rendered.checkpoint), options)
     for name in kept[1:]:
         assert (part / "views" / name).stat().st_mtime_ns == before[name]
     for folder in ("views", "atlas"):
@@ -342,7 +349,7 @@ def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.Mo
     assert json.loads((part / "report.json").read_text())["num_views"] == 8
     with pytest.raises(InputError, match="other work"):
         infer(
-            rendered.capture(),
+            rendered.small_capture(),
             part,
             CheckpointMaps(rendered.checkpoint),
             InferOptions(atlas=128, precision="bfloat16"),
