@@ -88,16 +88,20 @@ class FreeSpace:
 
     def fault(self, position: Floats, clearance_m: float) -> str:
         """Reason why a position (3,) is not free: ``inside_solid``, ``too_close``, ``outside``; else ''."""
-        directions = fibonacci_sphere(NUM_PROBE_RAYS)
-        hits = self.rays.cast(position, directions)
-        backs = int(self.rays.is_back_hit(hits, directions).sum())
-        if self.has_consistent_winding and backs > _MAX_BACK_SHARE * NUM_PROBE_RAYS:
-            return "inside_solid"
-        if float(hits.distance_m.min()) < clearance_m:
-            return "too_close"
-        if (~hits.hit_mask).sum() > _MAX_OPEN_SHARE * NUM_PROBE_RAYS:
-            return "outside"
-        return ""
+        return self._faults(position[None], clearance_m)[0]
+
+    def _faults(self, positions: Floats, clearance_m: float) -> list[str]:
+        """The :meth:`fault` of each of P positions (P, 3)."""
+        shape = len(positions), NUM_PROBE_RAYS
+        directions = np.tile(fibonacci_sphere(NUM_PROBE_RAYS), (len(positions), 1))
+        hits = self.rays.cast(np.repeat(positions, NUM_PROBE_RAYS, axis=0), directions)
+        backs = self.rays.is_back_hit(hits, directions).reshape(shape).sum(axis=1)
+        misses = (~hits.hit_mask).reshape(shape).sum(axis=1)
+        nearest_m = hits.distance_m.reshape(shape).min(axis=1)
+        is_inside = self.has_consistent_winding & (backs > _MAX_BACK_SHARE * NUM_PROBE_RAYS)
+        is_outside = misses > _MAX_OPEN_SHARE * NUM_PROBE_RAYS
+        conditions = [is_inside, nearest_m < clearance_m, is_outside]
+        return np.select(conditions, ["inside_solid", "too_close", "outside"], "").tolist()
 
     def points(self, count: int, clearance_m: float, draws: Draws, rejections: Counter[str]) -> Floats:
         """Draw up to ``count`` free positions (P, 3) in at most ``8 * count`` tries.
@@ -105,15 +109,15 @@ class FreeSpace:
         Counts rejected positions by reason. Raises :class:`InputError` if no position is free.
         """
         found: list[Floats] = []
-        for _ in range(8 * count):
-            if len(found) == count:
-                break
-            position = self.draw(draws)
-            fault = "no_floor" if position is None else self.fault(position, clearance_m)
-            if position is None or fault:
-                rejections[f"probe.{fault}"] += 1
-                continue
-            found.append(position)
+        tries = 8 * count
+        while tries > 0 and len(found) < count:
+            drawn = [self.draw(draws) for _ in range(min(tries, count - len(found)))]
+            tries -= len(drawn)
+            positions = [position for position in drawn if position is not None]
+            faults = self._faults(np.array(positions).reshape(-1, 3), clearance_m)
+            found += [position for position, fault in zip(positions, faults, strict=True) if not fault]
+            rejections.update(f"probe.{fault}" for fault in faults if fault)
+            rejections.update(["probe.no_floor"] * (len(drawn) - len(positions)))
         if not found:
             counts = ", ".join(
                 f"{k.removeprefix('probe.')} {v}"

@@ -7,7 +7,7 @@ import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -102,6 +102,16 @@ class Thing:
 
         Contacts are points within the tolerance of the lowest point, at the smallest scale.
         """
+        if contact_tolerance_m not in self._standing:
+            self._standing[contact_tolerance_m] = self._stands(contact_tolerance_m)
+        return self._standing[contact_tolerance_m]
+
+    @cached_property
+    def _standing(self) -> dict[float, bool]:
+        """Results of :meth:`can_stand`, which each configuration asks of every object."""
+        return {}
+
+    def _stands(self, contact_tolerance_m: float) -> bool:
         points = self.underside
         low = float(self.geometry.minimum_m[2])
         contact = points[points[:, 2] <= low + contact_tolerance_m / self.asset.scale_range[0]]
@@ -221,10 +231,13 @@ def has_consistent_winding(rays: RayScene, starts: Sequence[Floats]) -> bool:
     return bool(rays.is_back_hit(hits, directions).sum() < 0.1 * hits.hit_mask.sum())
 
 
+@cache
 def fibonacci_sphere(count: int) -> Floats:
-    """Unit directions (count, 3), evenly distributed over the sphere."""
+    """Unit directions (count, 3), evenly distributed over the sphere; shared, hence read-only."""
     k = np.arange(count) + 0.5
     z = 1 - 2 * k / count
     angle = math.pi * (1 + math.sqrt(5)) * k
     radius = np.sqrt(1 - z * z)
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+    directions = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+    directions.flags.writeable = False
+    return directions
