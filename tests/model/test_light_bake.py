@@ -114,7 +114,8 @@ def test_diffuse_shading(has_sky: bool) -> None:
 
 
 def lobes(wi: NDArray, wo: NDArray, alpha: float) -> tuple[NDArray, NDArray]:
-    """The BRDF times cos_o in float64: D G / (4 cos_i) times 1 - f and times f, with f = (1 - h.i)^5."""
+    """The BRDF times cos_o in float64: D G / (4 cos_i) times 1 - f and times f, with f = (1 - h.i)^5, for
+    directions ``wi`` (3,) or (N, 3) and ``wo`` (N, 3)."""
     from scipy.special import erf
 
     half = wi + wo
@@ -127,7 +128,7 @@ def lobes(wi: NDArray, wo: NDArray, alpha: float) -> tuple[NDArray, NDArray]:
         a = w[..., 2] / (alpha * sine)
         return 2 / (1 + erf(a) + np.exp(-(a**2)) / (a * np.sqrt(np.pi)))
 
-    value = density * masking(wi) * masking(wo) / (4 * wi[2])
+    value = density * masking(wi) * masking(wo) / (4 * wi[..., 2])
     f = (1 - (half * wi).sum(axis=1)) ** 5
     return value * (1 - f), value * f
 
@@ -214,7 +215,7 @@ def test_metal_reflects_a_lamp_without_noise(roughness: float) -> None:
     to_view, to_light = (np.linalg.norm(v, axis=1)[:, None] for v in (view, light))
     view, light = view / to_view, light / to_light
     solid = 0.01 * light[:, 2] / to_light[:, 0] ** 2
-    first, second = np.array([lobes(v, w[None], roughness**2) for v, w in zip(view, light, strict=True)]).T[0]
+    first, second = lobes(view, light, roughness**2)
     radiance = 500 * solid * (albedo * first + second)
     area = (2 / 600) * (2 / 400)
     true = (radiance * view[:, 2] ** 2 / to_view[:, 0] ** 2).sum() * area / np.pi
