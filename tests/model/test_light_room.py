@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import copyreg
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +16,9 @@ from numpy.typing import NDArray
 from datagen.geometry.traced import TracedGeometry, smooth_regions
 from datagen.geometry.views import TracedView
 from datagen.light import estimated_light
+from datagen.light.bake import Baker
 from datagen.light.lighting import light_surfels
+from datagen.light.radiance_field import RadianceField
 from model.reconstruction.light.confidence import trust_in_hidden
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.solve import MAX_ALBEDO
@@ -30,6 +35,7 @@ from tests.model.light_room import (
     sunlit_room,
     without_pixels,
 )
+from tests.once import once
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 EXPOSURE = 0.5
@@ -54,21 +60,39 @@ def solved(
     maps: list[dict[str, NDArray]],
     exposure: float = EXPOSURE,
     doubt_at: DoubtAt | None = None,
+    options: LightOptions = LightOptions(),
 ) -> LightMaterials:
     geometry = room_geometry()
     traced = TracedGeometry(geometry)
     regions, emits = smooth_regions(traced.mesh), geometry.emitter_mask()
-    return materials_from_light(views, maps, traced, emits, regions, exposure, LightOptions(), doubt_at)
+    return materials_from_light(views, maps, traced, emits, regions, exposure, options, doubt_at)
+
+
+def _field(*parts: Any) -> RadianceField:
+    return RadianceField(TracedGeometry(room_geometry()).scene, *parts)
+
+
+def _parts_of_field(field: RadianceField) -> tuple[Callable[..., RadianceField], tuple[Any, ...]]:
+    return _field, (field.cells, field.emitters, field.background, field.metals, field.outer)
+
+
+def _parts_of_baker(baker: Baker) -> tuple[type[Baker], tuple[Any, ...]]:
+    return Baker, (baker.field, baker.size_m)
+
+
+# Results of the room are shared among test processes by `once`, without the scene, which is not picklable.
+copyreg.pickle(RadianceField, _parts_of_field)
+copyreg.pickle(Baker, _parts_of_baker)
 
 
 @lru_cache(maxsize=1)
 def room() -> LightMaterials:
-    return solved(photographed_room(), predicted(photographed_room()))
+    return once("light-room-solved", lambda: solved(photographed_room(), predicted(photographed_room())))
 
 
 @lru_cache(maxsize=1)
 def sunlit() -> LightMaterials:
-    return solved(sunlit_room(), predicted(sunlit_room()))
+    return once("light-room-sun-solved", lambda: solved(sunlit_room(), predicted(sunlit_room())))
 
 
 def of_quad(found: LightMaterials, name: str) -> NDArray[np.bool_]:
