@@ -17,7 +17,7 @@ from datagen.formats.capture import CaptureGeometry
 from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.mesh import Mesh, area_vectors, edge_pairs, unit_vectors, welded
 from datagen.geometry.crease_normals import with_normals
-from datagen.multiview.visibility import vectors_from_rows
+from datagen.multiview.visibility import rows_from_vectors, vectors_from_rows
 from mitsuba_plugins.variant import select_variant
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class TracedGeometry:
         hit = np.asarray(valid.numpy(), dtype=bool)
         t = np.where(hit, np.asarray(si.t.numpy(), dtype=np.float64), 0.0)
         face = np.where(hit, np.asarray(si.prim_index.numpy()).astype(np.int64), -1)
-        normal = np.where(hit, np.asarray(shading.numpy()).reshape(3, -1), 0.0).T
+        normal = np.where(hit[:, None], rows_from_vectors(shading), 0.0)
         if valid_mask is not None:
             hit &= valid_mask.ravel()
         shape = (camera.height_px, camera.width_px)

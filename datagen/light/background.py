@@ -127,16 +127,21 @@ class Background:
         index = cell_of((direction.z * 0.5 + 0.5) * heights, heights) * azimuths + cell_of(azimuth, azimuths)
         if self.layout.is_far:
             return index
+        places = self.layout.places
+        # opaque, as literals would be compiled into kernels of their own for each room
+        low, high, places_per_m = (
+            [dr.opaque(mi.Float, float(v)) for v in values]
+            for values in (self.low, self.high, places / (self.high - self.low))
+        )
         distance, axis = mi.Float(dr.inf), mi.UInt32(0)
         for k in range(3):
             d = dr.select(dr.abs(direction[k]) < 1e-9, 1e-9, direction[k])
-            t = dr.maximum((dr.select(d > 0, float(self.high[k]), float(self.low[k])) - origin[k]) / d, 0.0)
+            t = dr.maximum((dr.select(d > 0, high[k], low[k]) - origin[k]) / d, 0.0)
             axis = dr.select(t < distance, k, axis)
             distance = dr.minimum(t, distance)
-        places = self.layout.places
         place = [
-            cell_of((origin[k] + distance * direction[k] - float(self.low[k])) * float(s), places)
-            for k, s in enumerate(places / (self.high - self.low))
+            cell_of((origin[k] + distance * direction[k] - low[k]) * places_per_m[k], places)
+            for k in range(3)
         ]
         u = dr.select(axis == 0, place[1], place[0])
         v = dr.select(axis == 2, place[1], place[2])

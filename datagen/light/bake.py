@@ -30,7 +30,7 @@ from datagen.light.radiance_field import (
     lobe_pdf,
     schlick_weight,
 )
-from datagen.multiview.visibility import vectors_from_rows
+from datagen.multiview.visibility import aligned, rows_from_vectors, vectors_from_rows
 from mitsuba_plugins.beckmann import alpha_from_roughness, sample_visible_normal, smith_g1
 
 MIN_KNOWN = 0.1
@@ -90,8 +90,8 @@ def cosine_rays(position_m: NDArray, normal: NDArray, num_rays: int, start_m: fl
     n = vectors_from_rows(np.repeat(normal, num_rays, axis=0))
     origin = mi.Point3f(vectors_from_rows(np.repeat(position_m, num_rays, axis=0)))
     sample = np.random.default_rng(seed).random((2, dr.width(n))).astype(np.float32)
-    local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(mi.Float(sample[0]), mi.Float(sample[1])))
-    return mi.Ray3f(origin + n * start_m, mi.Frame3f(n).to_world(local))
+    local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(*(mi.Float(aligned(u)) for u in sample)))
+    return mi.Ray3f(origin + n * dr.opaque(mi.Float, start_m), mi.Frame3f(n).to_world(local))
 
 
 class MetalSample(NamedTuple):
@@ -108,9 +108,13 @@ class Baker:
     """Computes shading at points in a radiance field; ``size_m`` is the diagonal of the room."""
 
     def __init__(self, field: RadianceField, size_m: float):
+        import drjit as dr
+        import mitsuba as mi
+
         self.field = field
         self.size_m = size_m
         self.start_m = _START * size_m
+        self._offset = dr.opaque(mi.Float, self.start_m)  # a literal would need kernels of its own
         self._sampler = EmitterSampler(field.emitters)
         rectangles = bright_rectangles(field.cells)
         self.guide = BrightGuide(rectangles) if rectangles else None
@@ -124,15 +128,15 @@ class Baker:
             empty = np.zeros(0, np.float32)
             return Irradiance(np.zeros((0, 3), np.float32), empty, empty)
         n = vectors_from_rows(normal)
-        p = mi.Point3f(vectors_from_rows(position_m)) + n * self.start_m
+        p = mi.Point3f(vectors_from_rows(position_m)) + n * self._offset
         lane = dr.arange(mi.UInt32, len(position_m))
         total, known, photographed = _irradiance_loop(
             self, p, mi.Frame3f(n), lane, dr.opaque(mi.UInt32, num_rays), dr.opaque(mi.UInt32, seed)
         )
-        scale = 1.0 / num_rays
+        scale = dr.opaque(mi.Float, 1.0 / num_rays)
         total, known, photographed = total * scale, known * scale, photographed * scale
         dr.eval(total, known, photographed)
-        return Irradiance(_rows(total), np.array(known.numpy()), np.array(photographed.numpy()))
+        return Irradiance(rows_from_vectors(total), np.array(known.numpy()), np.array(photographed.numpy()))
 
     def specular(
         self,
@@ -153,20 +157,20 @@ class Baker:
             return SpecularShading(rows, rows, empty, empty)
         n = vectors_from_rows(normal)
         frame = mi.Frame3f(n)
-        p = mi.Point3f(vectors_from_rows(position_m)) + n * self.start_m
+        p = mi.Point3f(vectors_from_rows(position_m)) + n * self._offset
         wi = frame.to_local(vectors_from_rows(view))
         wi.z = dr.maximum(wi.z, MIN_COSINE)
         wi = dr.normalize(wi)
-        alpha = alpha_from_roughness(mi.Float(np.ascontiguousarray(roughness, np.float32)))
+        alpha = alpha_from_roughness(mi.Float(aligned(roughness, np.float32)))
         lane = dr.arange(mi.UInt32, len(position_m))
         ls0, ls1, known, photographed = _specular_loop(
             self, p, frame, wi, alpha, lane, dr.opaque(mi.UInt32, num_rays), dr.opaque(mi.UInt32, seed)
         )
-        scale = 1.0 / num_rays
+        scale = dr.opaque(mi.Float, 1.0 / num_rays)
         ls0, ls1, known, photographed = ls0 * scale, ls1 * scale, known * scale, photographed * scale
         dr.eval(ls0, ls1, known, photographed)
         shares = np.array(known.numpy()), np.array(photographed.numpy())
-        return SpecularShading(_rows(ls0), _rows(ls1), *shares)
+        return SpecularShading(rows_from_vectors(ls0), rows_from_vectors(ls1), *shares)
 
     def trace(self, ray: Any, active: Any, sample: MetalSample | None) -> RayResult:
         """Trace ``ray`` into the field, and reflect it once at metals.
@@ -203,7 +207,7 @@ class Baker:
         wi = frame.to_local(-ray.d)
         wi.z = dr.maximum(wi.z, MIN_COSINE)
         wi = dr.normalize(wi)
-        origin = end.position + end.normal * self.start_m
+        origin = end.position + end.normal * self._offset
 
         def mirrored(wo: Any, half: Any, radiance: Any, pdf: Any, others: Any) -> Any:
             """Light reflected from ``wo``, sampled with the density ``pdf`` of the lobe and ``others``."""
@@ -296,10 +300,6 @@ class Baker:
     def samples_emitters(self) -> bool:
         """Whether there are emitters to sample."""
         return not self._sampler.is_empty
-
-
-def _rows(values: Any) -> NDArray[np.float32]:
-    return np.ascontiguousarray(np.asarray(values.numpy(), np.float32).reshape(3, -1).T)
 
 
 def _lattice(lane: Any, index: Any, count: Any, seed: Any) -> tuple[Any, Any, Any, Any, Any]:

@@ -33,6 +33,7 @@ from datagen.light.cells import unmixed_cells
 from datagen.light.emitters import photographed_emitters
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import Surfels, build_surfels, grouped_medians
+from datagen.multiview.visibility import rows_from_vectors, vectors_from_rows
 
 SHARE_ERROR = 0.04
 """Standard error of a_p, due to the finite numbers of rays here and of samples in the photographed pixel."""
@@ -206,13 +207,13 @@ def _rays_through(
     import mitsuba as mi
 
     toward = rays_within_pixels(view.camera, pixel).reshape(-1, 3)
-    direction: Any = mi.Vector3f(np.ascontiguousarray(toward.T, np.float32))
-    position = mi.Point3f(*view.camera.position_m.tolist())
+    direction: Any = vectors_from_rows(toward)
+    position = mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in view.camera.position_m))
     result = field.trace(mi.Ray3f(position, direction), mi.Bool(True)).result
     face = dr.select(dr.isfinite(result.distance_m), mi.Int32(result.face), -1)
     dr.eval(result, face)
     shape = len(pixel), PIXEL_RAYS
-    radiance = np.asarray(result.radiance.numpy()).reshape(3, *shape).transpose(1, 2, 0)
+    radiance = rows_from_vectors(result.radiance).reshape(*shape, 3)
     return (
         radiance,
         np.asarray(result.is_known.numpy(), bool).reshape(shape),

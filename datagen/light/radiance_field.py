@@ -20,7 +20,7 @@ from datagen.light.background import Background
 from datagen.light.cells import Cells, cell_keys, outer_cells, pyramid
 from datagen.light.emitters import Emitters
 from datagen.light.surfels import NUM_SIDES, Surfels
-from datagen.multiview.visibility import aligned
+from datagen.multiview.visibility import aligned, rows_from_vectors
 from mitsuba_plugins.beckmann import (
     alpha_from_roughness,
     beckmann_d,
@@ -124,13 +124,17 @@ class RadianceField:
             self._metal_roughness = _float(metals.roughness)
 
     def _upload(self, cells: Cells) -> tuple[Any, ...]:
+        # opaque, as literals would be compiled into kernels of their own for each room
+        import drjit as dr
+        import mitsuba as mi
+
         return (
-            _int32(cells.index),
+            mi.Int32(cells.index),
             _float(cells.radiance.ravel()),
             _float(cells.is_photographed.astype(np.float32)),
-            [float(v) for v in cells.low],
-            cells.cell_m,
-            [int(n) for n in cells.shape],
+            [dr.opaque(mi.Float, float(v)) for v in cells.low],
+            dr.opaque(mi.Float, 1.0 / cells.cell_m),
+            [dr.opaque(mi.Int32, int(n)) for n in cells.shape],
         )
 
     def _lookup(self, position: Any, normal: Any, active: Any) -> tuple[Any, Any, Any, Any]:
@@ -143,8 +147,8 @@ class RadianceField:
         side = _side(normal)
         radiance, is_known, is_photographed = mi.Color3f(0.0), mi.Bool(False), mi.Bool(False)
         finest = mi.Int32(-1)
-        for level, (index, table, photographed, low, cell_m, shape) in enumerate(self._levels):
-            at = [mi.Int32(dr.floor((position[axis] - low[axis]) * (1.0 / cell_m))) for axis in range(3)]
+        for level, (index, table, photographed, low, cells_per_m, shape) in enumerate(self._levels):
+            at = [mi.Int32(dr.floor((position[axis] - low[axis]) * cells_per_m)) for axis in range(3)]
             wanted = active & ~is_known
             for axis in range(3):
                 wanted &= (at[axis] >= 0) & (at[axis] < shape[axis])
@@ -210,9 +214,7 @@ class RadianceField:
         is_unknown = ~end.leaves & ~end.result.is_known
         dr.eval(is_unknown, end)
         chosen = np.flatnonzero(is_unknown.numpy())
-        position, normal = (
-            np.asarray(values.numpy()).reshape(3, -1).T[chosen] for values in (end.position, end.normal)
-        )
+        position, normal = (rows_from_vectors(values)[chosen] for values in (end.position, end.normal))
         return position, normal, np.asarray(end.result.face.numpy())[chosen].astype(np.int64)
 
     def estimated(self, ray: Any) -> Estimated:
@@ -226,8 +228,7 @@ class RadianceField:
         dr.eval(is_estimated, where, end)
         chosen = np.flatnonzero(is_estimated.numpy())
         radiance, position, normal = (
-            np.asarray(values.numpy()).reshape(3, -1).T[chosen]
-            for values in (end.result.radiance, end.position, end.normal)
+            rows_from_vectors(values)[chosen] for values in (end.result.radiance, end.position, end.normal)
         )
         bins = np.asarray(where.numpy())[chosen].astype(np.int64)
         return Estimated(chosen, radiance, bins, position, normal)
@@ -323,4 +324,4 @@ def _float(values: NDArray) -> Any:
 def _int32(values: NDArray) -> Any:
     import mitsuba as mi
 
-    return mi.Int32(np.ascontiguousarray(values, np.int32))
+    return mi.Int32(aligned(values, np.int32))

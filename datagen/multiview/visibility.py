@@ -281,6 +281,16 @@ def vectors_from_rows(rows: NDArray) -> Any:
     return dr.gather(mi.Vector3f, mi.Float(flat), dr.arange(mi.UInt32, len(flat) // 3))
 
 
+def rows_from_vectors(vectors: Any) -> NDArray[np.float32]:
+    """Convert a ``mi.Vector3f`` or ``mi.Color3f`` to an array (N, 3), the inverse of
+    :func:`vectors_from_rows`; ``vectors.numpy()`` would run a separate kernel for each N.
+    """
+    import drjit as dr
+
+    dr.eval(vectors)
+    return np.stack(np.broadcast_arrays(*(part.numpy() for part in vectors)), axis=1)
+
+
 class PointObservations(NamedTuple):
     """Visibility and projections of N points in V views, as NumPy arrays."""
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.color import luminance
+from datagen.multiview.visibility import rows_from_vectors, vectors_from_rows
 from model.reconstruction.atlas.atlas import MAP_CHANNELS
 from model.reconstruction.export.atlas_images import reduced_png, texture_shrink
 from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
@@ -137,9 +138,8 @@ def _load_scene(reconstruction: Reconstruction, folder: Path) -> Any:
 def _rays(samples: RadianceSamples, which: NDArray[np.int64]) -> Any:
     import mitsuba as mi
 
-    origin = mi.Point3f(np.ascontiguousarray(samples.origin_m[which].T, np.float32))
-    direction = mi.Vector3f(np.ascontiguousarray(samples.direction[which].T, np.float32))
-    return mi.RayDifferential3f(mi.Ray3f(origin, direction))
+    origin, direction = (vectors_from_rows(rows[which]) for rows in (samples.origin_m, samples.direction))
+    return mi.RayDifferential3f(mi.Ray3f(mi.Point3f(origin), direction))
 
 
 class _Emitters:
@@ -183,7 +183,7 @@ def _radiance(scene: Any, samples: RadianceSamples, seed: int) -> NDArray[np.flo
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(seed * len(samples) + start, len(which))
         radiance, _, _ = integrator.sample(scene, sampler, _rays(samples, which))
-        found.append(radiance.numpy().astype(np.float64).T.reshape(-1, PATHS, 3).mean(axis=1))
+        found.append(rows_from_vectors(radiance).astype(np.float64).reshape(-1, PATHS, 3).mean(axis=1))
     return np.concatenate(found)
 
 

@@ -22,6 +22,7 @@ from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.light.bake import cosine_rays
 from datagen.light.lighting import Lit
 from datagen.light.surfels import Surfels, weighted_medians
+from datagen.multiview.visibility import rows_from_vectors
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.solve import (
     ROUGHNESS_LEVELS,
@@ -297,7 +298,7 @@ def outgoing_radiance(
     surfel = np.repeat(np.arange(len(surfels)), NUM_DIRECTIONS)
     position, normal = surfels.position_m[surfel], surfels.normal[surfel]
     ray = cosine_rays(surfels.position_m, surfels.normal, NUM_DIRECTIONS, lit.baker.start_m, _SEED)
-    view = np.asarray(ray.d.numpy()).reshape(3, -1).T
+    view = rows_from_vectors(ray.d)
     shading = lit.baker.specular(position, normal, view, roughness[surfel], RAYS, _SEED).extrapolated()
     leaving = specular_albedo[surfel] * shading.ls0 + shading.ls1
     change = diffuse + leaving.reshape(-1, NUM_DIRECTIONS, 3).mean(axis=1) - surfels.radiance
