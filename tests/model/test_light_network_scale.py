@@ -14,7 +14,7 @@ from model.reconstruction.light import stage
 from model.reconstruction.light.shading_correction import SCALE_SUPPORT, network_scale
 from model.reconstruction.light.view_maps import MAX_EXCESS, TYPICAL_WHITE, White, view_materials
 from tests.model.light_room import photographed_room, quads
-from tests.model.test_light_room import of_quad, predicted, room, solved
+from tests.model.test_light_room import ONE_ROUND, of_quad, predicted, room, solved
 
 
 def test_scale_comes_from_confident_surfels() -> None:
@@ -63,7 +63,7 @@ def south_wall(trust: float, monkeypatch: pytest.MonkeyPatch) -> float:
 
     monkeypatch.setattr(stage, "solve_points", unexplained)
     monkeypatch.setattr(stage, "trust_in_hidden", lambda hidden, _: np.full(len(hidden), trust, np.float32))
-    found = solved(photographed_room(), too_dark())
+    found = solved(photographed_room(), too_dark(), options=ONE_ROUND)
     medians = []
     for result in (found, room()):
         of_views = zip(result.maps, photographed_room(), strict=True)

@@ -18,7 +18,7 @@ from model.reconstruction.light import confidence, stage
 from model.reconstruction.light.stage import LightMaterials
 from model.reconstruction.light.unseen_lamps import UnseenLamps, lamp_kinds
 from tests.model.light_room import LAMP, photographed_room, quads, without_pixels
-from tests.model.test_light_room import of_quad, predicted, solved, wall_error
+from tests.model.test_light_room import ONE_ROUND, of_quad, predicted, solved, wall_error
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
@@ -67,7 +67,7 @@ def test_a_lamp_treated_as_dark_is_detected(monkeypatch: pytest.MonkeyPatch) -> 
         return UnseenLamps(lit.baker.field.emitters)
 
     monkeypatch.setattr(stage, "unseen_lamps", dark)
-    found = solved(without_lamp(), predicted(without_lamp()))
+    found = solved(without_lamp(), predicted(without_lamp()), options=ONE_ROUND)
     assert not found.lit.baker.field.emitters.radiance.any()
     assert wall_error(found) > 0.3
     assert found.solved.confidence[:, 0].max() > 0.5
