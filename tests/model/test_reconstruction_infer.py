@@ -361,22 +361,24 @@ def test_inference_with_confidence_continues(rendered: Rendered) -> None:
     without confidence are refused."""
     out = rendered.root / "weighted"
     options = InferOptions(atlas=128, precision="float32", batch=2, weights="confidence", has_exr=False)
-    infer(rendered.capture(), out, CheckpointMaps(rendered.checkpoint), options)
+    infer(rendered.small_capture(), out, CheckpointMaps(rendered.checkpoint), options)
     first = {path.name: path.read_bytes() for path in sorted((out / "views").iterdir())}
     atlas = (out / "atlas" / "roughness.png").read_bytes()
     confidence = np.load(out / "views" / "view-000.confidence.npy").astype(np.float32)
-    assert confidence.shape == (SIZE[1], SIZE[0], 3) and (confidence[..., 0] == 1).all()
+    assert confidence.shape == (*SMALL_SIZE[::-1], 3) and (confidence[..., 0] == 1).all()
     assert confidence[..., 1:].max() == 1 and confidence[..., 1:].std() > 1e-4
     (out / "views" / "view-000.confidence.npy").unlink()
     (out / "views" / "view-003.confidence.npy").write_bytes(b"damaged")
-    infer(rendered.capture(), out, CheckpointMaps(rendered.checkpoint), options)
+    infer(rendered.small_capture(), out, CheckpointMaps(rendered.checkpoint), options)
     assert {path.name: path.read_bytes() for path in sorted((out / "views").iterdir())} == first
     assert (out / "atlas" / "roughness.png").read_bytes() == atlas
-    infer(rendered.capture(), out, CheckpointMaps(rendered.checkpoint), replace(options, weights="none"))
+    infer(
+        rendered.small_capture(), out, CheckpointMaps(rendered.checkpoint), replace(options, weights="none")
+    )
     assert (out / "atlas" / "roughness.png").read_bytes() != atlas
     bare = GivenMaps("bare", lambda traced: [{n: m[n] for n in MATERIAL_MAPS} for m in TRUTH.read(traced)])
     with pytest.raises(InputError, match="a confidence for every view"):
-        infer(rendered.capture(), rendered.root / "none", bare, options)
+        infer(rendered.small_capture(), rendered.root / "none", bare, options)
 
 
 def test_a_mesh_that_no_view_sees_is_refused(rendered: Rendered, tmp_path: Path) -> None:
