@@ -85,7 +85,7 @@ MATRIX = {
         "model.reconstruction.mesh": f"{_GROUND} {_TRACED} model.reconstruction.stages",
         "model.reconstruction.merge": f"datagen.foundation datagen.multiview {_ATLAS} "
         "model.reconstruction.unwrap",
-        "model.reconstruction.export": f"{_GROUND} {_ATLAS} mitsuba_plugins "
+        "model.reconstruction.export": f"{_GROUND} {_ATLAS} datagen.multiview.visibility mitsuba_plugins "
         "model.reconstruction.found_lights",
         "model.reconstruction.report_page": "datagen.foundation model.reconstruction.found_lights "
         "model.reconstruction.infer_options model.reconstruction.stages",
