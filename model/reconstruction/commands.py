@@ -59,14 +59,15 @@ def infer(
 
     Example: materials infer photos --mesh room.glb --out room
     """
+    if truth and checkpoint:
+        raise typer.BadParameter("--truth needs no checkpoint", param_hint="--checkpoint")
+    listeners = load_listeners(listener or ())
+    opened = _opened(capture, reading)  # before torch is imported, so that errors appear at once
+
     from model.checkpoint import bundled_checkpoint
     from model.reconstruction.infer import infer as run
     from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
 
-    if truth and checkpoint:
-        raise typer.BadParameter("--truth needs no checkpoint", param_hint="--checkpoint")
-    listeners = load_listeners(listener or ())
-    opened = _opened(capture, reading)
     source: MapSource = TRUTH if truth else CheckpointMaps(checkpoint or bundled_checkpoint())
     options = replace(options, is_evened=reading.exposure == "auto")
     try:
@@ -149,9 +150,10 @@ def check(
 
     Example: materials check photos --mesh room.glb --out check
     """
+    opened = _opened(capture, reading)
+
     from model.reconstruction.check.capture_check import check_capture
 
-    opened = _opened(capture, reading)
     with Bars(is_quiet=quiet) as bars:
         report = check_capture(opened, out, bars.tell)
     for note in report.notes:
