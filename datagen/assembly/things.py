@@ -102,16 +102,6 @@ class Thing:
 
         Contacts are points within the tolerance of the lowest point, at the smallest scale.
         """
-        if contact_tolerance_m not in self._standing:
-            self._standing[contact_tolerance_m] = self._stands(contact_tolerance_m)
-        return self._standing[contact_tolerance_m]
-
-    @cached_property
-    def _standing(self) -> dict[float, bool]:
-        """Results of :meth:`can_stand`, which each configuration asks of every object."""
-        return {}
-
-    def _stands(self, contact_tolerance_m: float) -> bool:
         points = self.underside
         low = float(self.geometry.minimum_m[2])
         contact = points[points[:, 2] <= low + contact_tolerance_m / self.asset.scale_range[0]]

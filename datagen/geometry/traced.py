@@ -17,7 +17,7 @@ from datagen.formats.capture import CaptureGeometry
 from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.mesh import Mesh, area_vectors, edge_pairs, unit_vectors, welded
 from datagen.geometry.crease_normals import with_normals
-from datagen.multiview.visibility import rows_from_vectors, vectors_from_rows
+from datagen.multiview.visibility import point_argument, rows_from_vectors, vectors_from_rows
 from mitsuba_plugins.variant import select_variant
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class TracedGeometry:
         import mitsuba as mi
 
         directions = camera.ray_directions().reshape(-1, 3)
-        origin = mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in camera.position_m))
+        origin = point_argument(camera.position_m)
         direction: Any = vectors_from_rows(directions)
         ray = mi.Ray3f(origin, direction)
         si = self.scene.ray_intersect(ray)

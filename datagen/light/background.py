@@ -22,6 +22,7 @@ from scipy.spatial import cKDTree
 
 from datagen.foundation.color import luminance
 from datagen.geometry.views import TracedView
+from datagen.multiview.visibility import point_argument
 from mitsuba_plugins.cells import cell_of
 
 REACH = 2.0
@@ -129,10 +130,8 @@ class Background:
             return index
         places = self.layout.places
         # opaque, as literals would be compiled into kernels of their own for each room
-        low, high, places_per_m = (
-            [dr.opaque(mi.Float, float(v)) for v in values]
-            for values in (self.low, self.high, places / (self.high - self.low))
-        )
+        low, high = point_argument(self.low), point_argument(self.high)
+        places_per_m = point_argument(places / (self.high - self.low))
         distance, axis = mi.Float(dr.inf), mi.UInt32(0)
         for k in range(3):
             d = dr.select(dr.abs(direction[k]) < 1e-9, 1e-9, direction[k])

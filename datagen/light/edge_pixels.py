@@ -33,7 +33,7 @@ from datagen.light.cells import unmixed_cells
 from datagen.light.emitters import photographed_emitters
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import Surfels, build_surfels, grouped_medians
-from datagen.multiview.visibility import rows_from_vectors, vectors_from_rows
+from datagen.multiview.visibility import point_argument, rows_from_vectors, vectors_from_rows
 
 SHARE_ERROR = 0.04
 """Standard error of a_p, due to the finite numbers of rays here and of samples in the photographed pixel."""
@@ -208,7 +208,7 @@ def _rays_through(
 
     toward = rays_within_pixels(view.camera, pixel).reshape(-1, 3)
     direction: Any = vectors_from_rows(toward)
-    position = mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in view.camera.position_m))
+    position = point_argument(view.camera.position_m)
     result = field.trace(mi.Ray3f(position, direction), mi.Bool(True)).result
     face = dr.select(dr.isfinite(result.distance_m), mi.Int32(result.face), -1)
     dr.eval(result, face)

@@ -20,7 +20,7 @@ from datagen.light.background import Background
 from datagen.light.cells import Cells, cell_keys, outer_cells, pyramid
 from datagen.light.emitters import Emitters
 from datagen.light.surfels import NUM_SIDES, Surfels
-from datagen.multiview.visibility import aligned, rows_from_vectors
+from datagen.multiview.visibility import aligned, point_argument, rows_from_vectors
 from mitsuba_plugins.beckmann import (
     alpha_from_roughness,
     beckmann_d,
@@ -132,7 +132,7 @@ class RadianceField:
             mi.Int32(cells.index),
             _float(cells.radiance.ravel()),
             _float(cells.is_photographed.astype(np.float32)),
-            [dr.opaque(mi.Float, float(v)) for v in cells.low],
+            point_argument(cells.low),
             dr.opaque(mi.Float, 1.0 / cells.cell_m),
             [dr.opaque(mi.Int32, int(n)) for n in cells.shape],
         )

@@ -281,6 +281,14 @@ def vectors_from_rows(rows: NDArray) -> Any:
     return dr.gather(mi.Vector3f, mi.Float(flat), dr.arange(mi.UInt32, len(flat) // 3))
 
 
+def point_argument(position_m: NDArray) -> Any:
+    """Convert a point (3,) to a ``mi.Point3f`` that kernels take as an argument, not as a literal."""
+    import drjit as dr
+    import mitsuba as mi
+
+    return mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in position_m))
+
+
 def rows_from_vectors(vectors: Any) -> NDArray[np.float32]:
     """Convert a ``mi.Vector3f`` or ``mi.Color3f`` to an array (N, 3), the inverse of
     :func:`vectors_from_rows`; ``vectors.numpy()`` would run a separate kernel for each N.
