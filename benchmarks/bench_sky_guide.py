@@ -57,7 +57,7 @@ def compare(renderer: SceneRenderer, samples: int) -> dict[str, Any]:
     mean = {name: statistics.mean(values) for name, values in variances.items()}
     cost = {name: statistics.median(values) for name, values in watch.cpu.items()}
     return {
-        "share": guide.share if guide is not None else 0.0,
+        "share": float(guide.shares.sum()) if guide is not None else 0.0,
         "variance": mean,
         "seconds": cost,
         "variance_ratio": mean["guided"] / mean["plain"],

@@ -122,28 +122,29 @@ def test_noise_behind_a_wall_falls_without_bias(tmp_path: Path) -> None:
 
 
 def test_light_is_attributed_to_its_technique(tmp_path: Path) -> None:
-    """Lamp light is attributed to the lamp, and sky light to the guide unless it is as bright as the sun."""
+    """Lamp light is attributed to the lamp, sky light to its opening unless it is as bright as the sun."""
     import drjit as dr
     import mitsuba as mi
 
     tracer = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=(DIM, DAYLIGHT)).tracer
     lights, scene = tracer.emitters.light_sampler, tracer.scene
     assert lights is not None and lights.guide is not None
-    guide = lights.num_emitters
+    point, direction = mi.Point3f(0.0, 0.0, 1.0), mi.Vector3f(0.3, 1.0, 0.0)
+    opening = lights.num_emitters + int(np.array(lights.guide.pdf(point, direction)[0])[0])
     brightest = float(lights.guide.brightest[0])
     for number, emitter in enumerate(scene.emitters()):
         ds = dr.zeros(mi.DirectionSample3f, 2)
-        ds.emitter = mi.EmitterPtr(emitter)
+        ds.emitter, ds.d = mi.EmitterPtr(emitter), direction
         brought = mi.Float([0.9 * brightest, 1.1 * brightest])
-        found = np.broadcast_to(np.array(lights.technique(ds, brought)), 2).tolist()
-        assert found == ([guide, number] if emitter.is_environment() else [number, number])
+        found = np.broadcast_to(np.array(lights.technique(point, ds, brought)), 2).tolist()
+        assert found == ([opening, number] if emitter.is_environment() else [number, number])
         assert int(np.array(lights.index(mi.EmitterPtr(emitter)))[0]) == number
     tracer.use_sky_guide(None)
     assert tracer.emitters.light_sampler is not None and tracer.emitters.light_sampler.guide is None
     for number, emitter in enumerate(scene.emitters()):
         ds = dr.zeros(mi.DirectionSample3f)
         ds.emitter = mi.EmitterPtr(emitter)
-        assert int(np.array(tracer.emitters.light_sampler.technique(ds, mi.Float(0.0)))[0]) == number
+        assert int(np.array(tracer.emitters.light_sampler.technique(point, ds, mi.Float(0.0)))[0]) == number
 
 
 def test_an_unfitted_sampler_is_uniform_except_for_the_guide() -> None:
@@ -169,11 +170,12 @@ def test_a_guide_keeps_its_share_of_a_uniform_choice(tmp_path: Path) -> None:
 
     tracer = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=(DIM, DAYLIGHT)).tracer
     guide = tracer.sky_guide
-    assert guide is not None and 0.1 < guide.share < 0.5
+    assert guide is not None and 0.1 < guide.shares.sum() < 0.5
     choice = uniform_sampler(tracer.scene, guide)
     assert choice is not None
-    *lights, guided = np.array(choice.probabilities).tolist()
-    assert guided == pytest.approx(guide.share, abs=2 / choice.num_slots)
+    chances = np.array(choice.probabilities)
+    lights, guided = chances[: choice.num_emitters].tolist(), float(chances[choice.num_emitters :].sum())
+    assert guided == pytest.approx(guide.shares.sum(), abs=len(guide.shares) / choice.num_slots)
     assert lights == pytest.approx([(1 - guided) / len(lights)] * len(lights), abs=1 / choice.num_slots)
 
 
@@ -194,6 +196,7 @@ def test_the_choice_of_lights_is_unbiased(tmp_path: Path, lights: Any) -> None:
 def test_many_lights_are_chosen_uniformly(tmp_path: Path) -> None:
     """There are too many lights for per-cell probabilities, but the guide to the window keeps its share."""
     from datagen.rendering.transport.light_sampler import MAX_LEARNED
+    from datagen.rendering.transport.sky_guide import OPENINGS
 
     bulbs = tuple(
         PointLight(name=f"bulb {k}", position_m=(0.1 * k - 1.0, 0.0, 1.5), intensity=(1e-3, 1e-3, 1e-3))
@@ -203,7 +206,7 @@ def test_many_lights_are_chosen_uniformly(tmp_path: Path) -> None:
     tracer = room.tracer
     lights = tracer.emitters.light_sampler
     assert tracer.sky_guide is not None and tracer.irradiance is not None and lights is not None
-    assert lights.num_records == 1 and lights.num_techniques == len(bulbs) + 2
+    assert lights.num_records == 1 and lights.num_techniques == len(bulbs) + 1 + OPENINGS
     guided = spread(room, 0)
     tracer.use_sky_guide(None)
     plain = spread(room, 0)

@@ -15,6 +15,7 @@ from datagen.formats.lights import AreaLight, EnvironmentLight, SkyLight
 from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.cameras import Camera, look_at
 from datagen.rendering.renderer import SceneRenderer
+from datagen.rendering.transport.sky_guide import OPENINGS
 from oracles.rendering_scenes import GREY, SmallScene, quad, renderer
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
@@ -88,19 +89,22 @@ def test_the_density_matches_the_samples(tmp_path: Path) -> None:
 
     guide = rendered(tmp_path, walled_room(), SKY).tracer.sky_guide
     assert guide is not None
-    count = 1 << 20
+    count, num_openings = 1 << 20, len(guide.shares)
+    assert num_openings == OPENINGS
     sampler: Any = mi.load_dict({"type": "independent"})
     sampler.seed(5, count)
     for place in ([0.0, 0.0, 1.0], [-1.99, -1.99, 0.01], [0.7, 1.9, 1.2]):
         point = mi.Point3f(place) + dr.zeros(mi.Point3f, count)
-        direction = guide.sample(point, sampler.next_1d(), sampler.next_2d())
-        pdf = np.array(guide.pdf(point, direction))
-        assert (pdf > 0.0).mean() > 0.9999  # except where rounding moves a direction to the next cell
+        opening: Any = dr.arange(mi.UInt32, count) % num_openings
+        direction = guide.sample(point, opening, sampler.next_1d(), sampler.next_2d())
+        found, pdf = guide.pdf(point, direction)
+        # except where rounding moves a direction to the next cell
+        assert (np.array(pdf) > 0.0).mean() > 0.9999 and np.array(found == opening).mean() > 0.9999
         # f(w) = 1 / (0.2 + |w - a|^2) has most of its weight at openings, from all three points
         target = dr.normalize(mi.Vector3f(0.3, 1.0, 0.0))
         by_guide = np.array(1.0 / (0.2 + dr.squared_norm(direction - target))).astype(np.float64)
         sphere: Any = mi.warp.square_to_uniform_sphere(sampler.next_2d())
-        density = np.array(guide.pdf(point, sphere)).astype(np.float64)
+        density = np.array(guide.pdf(point, sphere)[1]).astype(np.float64) / num_openings
         value = np.array(1.0 / (0.2 + dr.squared_norm(sphere - target))).astype(np.float64)
         integral = 4.0 * np.pi * density
         assert abs(integral.mean() - 1.0) < 5 * integral.std() / np.sqrt(count)
@@ -114,12 +118,13 @@ def test_directions_point_to_the_window(tmp_path: Path) -> None:
     import mitsuba as mi
 
     guide = rendered(tmp_path, walled_room(), SKY).tracer.sky_guide
-    assert guide is not None and guide.share == 0.5
+    assert guide is not None and guide.shares.sum() == pytest.approx(0.5)
     count = 4096
     sampler: Any = mi.load_dict({"type": "independent"})
     sampler.seed(1, count)
     point = mi.Point3f(-1.0, 0.0, 1.0) + dr.zeros(mi.Point3f, count)
-    direction = np.array(guide.sample(point, sampler.next_1d(), sampler.next_2d())).T
+    opening: Any = dr.arange(mi.UInt32, count) % len(guide.shares)
+    direction = np.array(guide.sample(point, opening, sampler.next_1d(), sampler.next_2d())).T
     at_wall = np.array([-1.0, 0.0, 1.0]) + direction * (2.0 / direction[:, 1:2])
     x, z = at_wall[:, 0], at_wall[:, 2]
     assert ((x > 0.4) & (x < 1.0) & (z > 0.8) & (z < 1.6) & (direction[:, 1] > 0)).mean() > 0.6
@@ -161,12 +166,12 @@ def test_the_guide_is_the_same_each_time(tmp_path: Path) -> None:
 
 def observed(count: int = 4096, **more: Any) -> Any:
     """Return observations of a room of 4 x 2 x 1 m with ``count`` points and a quarter as many rays.
-    The rays start in the middle of the room and leave through one point of the upper face."""
+    The rays start at medium height and leave through one point of the upper face."""
     from datagen.rendering.transport.sky_observation import SkyObservations
 
     points = np.random.default_rng(1).random((count, 3)) * [4, 2, 1]
     through = np.array([3.1, 0.4, 1.0])
-    origins = points[::4] * [0.2, 0.5, 0.2] + [1, 0.5, 0.2]
+    origins = points[::4] * [1, 1, 0.2] + [0, 0, 0.2]
     fields = {
         "points_m": points,
         "origins_m": origins,
@@ -208,16 +213,24 @@ def test_rays_that_met_the_sun_count_as_sky() -> None:
 def test_a_guide_covers_the_opening_and_a_margin() -> None:
     import mitsuba as mi
 
-    from datagen.rendering.transport.sky_guide import BOX_MARGIN, CELLS, NEIGHBOUR_SHARE, fit_sky_guide
+    from datagen.rendering.transport.room_box import CELLS, MARGIN
+    from datagen.rendering.transport.sky_guide import NEIGHBOUR_SHARE, fit_sky_guide
 
     found = fit_sky_guide(open_sky(), observed(others=3 * np.pi / 4))
-    assert found is not None and found.share == pytest.approx(0.25)
+    assert found is not None and found.shares.sum() == pytest.approx(0.25)
     low, high = np.percentile(observed().points_m, [2, 98], axis=0)
-    margin = BOX_MARGIN * (high - low)[0]  # relative to the longest side
-    np.testing.assert_allclose(found.box_m, [low - margin, high + margin], rtol=1e-6)
+    margin = MARGIN * np.ptp(np.percentile(observed().points_m[:, 0], [10, 90]))  # of the longest side
+    *others, top = found.box_m.ravel()
+    np.testing.assert_allclose(others, [*(low - margin), *(high + margin)[:2]], rtol=1e-6)
+    assert (
+        1.0 < top < 1.0 + margin
+    )  # in the plane of the opening, nearer than 2 % of the points would place it
     side = found.box_m[1] - found.box_m[0]
     areas = np.repeat([side[1] * side[2], side[0] * side[2], side[0] * side[1]], 2) / CELLS**2
-    chance = np.array(found.density).reshape(6, CELLS, CELLS) * areas[:, None, None]
+    opening = np.array(found.opening_of_cell).reshape(6, CELLS, CELLS)
+    shares = found.shares / found.shares.sum()
+    chance = shares[opening] * np.array(found.density).reshape(6, CELLS, CELLS) * areas[:, None, None]
+    assert len(shares) == OPENINGS and shares.min() > 0.01
     assert chance.sum() == pytest.approx(1.0, abs=1e-3)
     # the rays meet just below the box's upper face and so spread over few of its cells
     column, row = (int(c) for c in (np.array([3.1, 0.4]) - found.box_m[0, :2]) / side[:2] * CELLS)
@@ -226,8 +239,10 @@ def test_a_guide_covers_the_opening_and_a_margin() -> None:
     assert bool(found.contains(centre)[0]) and not bool(found.contains(mi.Point3f(0.0, 0.0, 9.0))[0])
     straight_up = observed(directions=np.tile([0.0, 0.0, 1.0], (1024, 1)), origins_m=np.full((1024, 3), 0.5))
     one = fit_sky_guide(open_sky(), straight_up)
-    assert one is not None and one.share == 0.5  # never more than half
-    chance = np.sort((np.array(one.density).reshape(6, CELLS, CELLS) * areas[:, None, None]).ravel())[::-1]
+    assert one is not None and one.shares.sum() == pytest.approx(0.5)  # never more than half
+    side = one.box_m[1] - one.box_m[0]
+    by_cell = np.array(one.density) * np.repeat(side.prod() / side, 2 * CELLS**2) / CELLS**2
+    chance = np.sort(2.0 * one.shares[np.array(one.opening_of_cell)] * by_cell)[::-1]
     whole = 1 + 8 * NEIGHBOUR_SHARE
     assert chance[0] == pytest.approx(1 / whole, abs=1e-3)
     assert chance[1:9] == pytest.approx([NEIGHBOUR_SHARE / whole] * 8, abs=1e-3) and chance[9] == 0.0
@@ -246,10 +261,52 @@ def test_little_sky_few_rays_or_none_from_inside_give_no_guide() -> None:
     assert fit_sky_guide(open_sky(), observed(points_m=np.zeros((4096, 3)))) is None
 
 
+def test_surfaces_outside_do_not_enlarge_the_box() -> None:
+    """Most of the escaping rays start on the ground outside, which is seen through a window at x = 4 m."""
+    from datagen.rendering.transport.room_box import MARGIN, room_box
+
+    random = np.random.default_rng(4)
+    room = random.random((16000, 3)) * [4, 4, 2.5]
+    outside = random.random((1500, 3)) * [3, 4, 0] + [4, 0, 0]
+    window = random.random((400, 3)) * [0, 1, 1] + [4, 1.5, 0.8]
+    sky = random.normal(size=(1500, 3))
+    sky = sky / np.linalg.norm(sky, axis=1, keepdims=True) + [0, 0, 1]
+    directions = np.concatenate([window - room[:400], sky])
+    points = np.concatenate([room, outside])
+    found = room_box(
+        observed(
+            points_m=points,
+            origins_m=np.concatenate([room[:400], outside]),
+            directions=directions / np.linalg.norm(directions, axis=1, keepdims=True),
+            radiance=np.ones(1900),
+        )
+    )
+    assert found is not None
+    low, high = np.percentile(points, [2, 98], axis=0)
+    margin = MARGIN * np.ptp(np.percentile(points[:, 0], [10, 90]))
+    assert high[0] > 6.0 and found[1, 0] == pytest.approx(4.0, abs=0.15)
+    others = np.array([*found[0], *found[1, 1:]])
+    assert others == pytest.approx([*(low - margin), *(high + margin)[1:]], abs=1e-6)
+
+
+def test_openings_are_parts_of_windows() -> None:
+    """Two windows in opposite walls are divided between them, by probability."""
+    from datagen.rendering.transport.room_box import CELLS
+    from datagen.rendering.transport.sky_guide import SkyGuide
+
+    chance = np.zeros((6, CELLS, CELLS))
+    chance[0, 4:8, 4:8], chance[1, 20:28, 10:18], chance[3, 0, 0] = 3.0, 1.0, 1e-6
+    guide = SkyGuide(open_sky(), np.array([[0.0, 0.0, 0.0], [4.0, 3.0, 2.5]]), chance.ravel(), 0.5, 1.0)
+    opening = np.array(guide.opening_of_cell).reshape(6, CELLS, CELLS)
+    first, second = (set(opening[face][chance[face] > 0].tolist()) for face in (0, 1))
+    assert not first & second and first | second == set(range(OPENINGS)) and min(len(first), len(second)) > 1
+    assert guide.shares.sum() == pytest.approx(0.5) and guide.shares.min() > 0.02
+
+
 def test_rays_leave_the_box_at_the_exact_positions() -> None:
     import mitsuba as mi
 
-    from datagen.rendering.transport.sky_guide import CELLS, exit_cell
+    from datagen.rendering.transport.room_box import CELLS, exit_cell
 
     random = np.random.default_rng(2)
     low, high = np.array([-1.0, 0.0, 2.0]), np.array([3.0, 1.0, 4.0])
@@ -282,7 +339,7 @@ def test_rays_along_an_edge_of_the_box_leave_through_its_last_cells() -> None:
     """Points on the box's faces count as inside, although their normalised position is exactly 0 or 1."""
     import mitsuba as mi
 
-    from datagen.rendering.transport.sky_guide import CELLS, exit_cell
+    from datagen.rendering.transport.room_box import CELLS, exit_cell
 
     corners = mi.Point3f(-1.0, 0.0, 2.0), mi.Point3f(3.0, 1.0, 4.0)
     points = mi.Point3f(np.array([[0, 1, 4], [0, 0, 2], [3, 0.5, 4], [-1, 0.5, 2]], np.float32).T)
@@ -297,7 +354,7 @@ def test_lanes_without_a_vertex_stay_inside_the_table() -> None:
     """Missed rays have NaN or infinite positions, but their cells are still looked up."""
     import mitsuba as mi
 
-    from datagen.rendering.transport.sky_guide import CELLS, exit_cell
+    from datagen.rendering.transport.room_box import CELLS, exit_cell
 
     corners = mi.Point3f(-1.0, 0.0, 2.0), mi.Point3f(3.0, 1.0, 4.0)
     values = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, 0.0], np.float32)

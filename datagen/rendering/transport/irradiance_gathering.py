@@ -218,7 +218,7 @@ def _walk(
         weight = dr.select(ds.delta, 1.0, power_heuristic(ds.pdf, pdf))
         lit = dr.select(bounces & (ds.pdf > 0.0), radiance * weight, 0.0)
         direct = lit * cosine
-        technique, contribution = _attributed(sampler, ds, radiance, direct)
+        technique, contribution = _attributed(sampler, si.p, ds, radiance, direct)
 
         # ---- next direction --------------------------------------------------------------------------------
         choice: Any = numbers.next_1d()
@@ -251,13 +251,15 @@ def _walk(
     return list(zip(cells, is_found, irradiance, techniques, contributions, strict=True))
 
 
-def _attributed(light_sampler: LightSampler | None, ds: Any, radiance: Any, direct: Any) -> tuple[Any, Any]:
+def _attributed(
+    light_sampler: LightSampler | None, point: Any, ds: Any, radiance: Any, direct: Any
+) -> tuple[Any, Any]:
     """Return a shadow ray's technique, and luminance of ``direct`` x square root of technique probability.
 
     The mean square of the latter over all rays is the second moment over the technique's rays.
     """
     if light_sampler is None:
         return mi.UInt32(0), mi.Float(0.0)
-    technique = light_sampler.technique(ds, mi.luminance(radiance) * ds.pdf)
+    technique = light_sampler.technique(point, ds, mi.luminance(radiance) * ds.pdf)
     probability = light_sampler.probability(mi.UInt32(0), technique)
     return technique, mi.luminance(direct) * dr.sqrt(probability)

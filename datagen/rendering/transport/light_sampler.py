@@ -3,8 +3,8 @@
 
 Mitsuba chooses among emitters with equal probability, so in a room with a lamp and an occluded sky half of
 the shadow rays are wasted. While irradiance is gathered (:mod:`.irradiance_gathering`), the second moment of
-each technique is estimated in every cell. The techniques are the sampling of each emitter and, if there is
-one, the sky guide (:mod:`.sky_guide`). Technique k is then chosen with probability
+each technique is estimated in every cell. The techniques are the sampling of each emitter and, if there is a
+sky guide (:mod:`.sky_guide`), of each opening. Technique k is then chosen with probability
 
     q_k ~ sqrt(E_k[f^2]),    f = radiance x cosine / density, E_k over the technique's samples,
 
@@ -34,7 +34,7 @@ Array = Any
 SLOTS = 32
 """Minimum number of slots in a row of the table; a row has at least twice as many slots as techniques.
 Probabilities are multiples of 1 / slots, and at least 1 / slots."""
-MAX_LEARNED = 16
+MAX_LEARNED = 24
 """Maximum number of techniques for learned sampling; with more, tables are large and estimates poor."""
 MAX_TECHNIQUES = 512
 """Maximum number of techniques, since the table's entries have 10 bits; with more, Mitsuba chooses uniformly,
@@ -46,14 +46,14 @@ BELOW_ONE = 1.0 - 2.0**-20
 class LightSampler:
     """Probabilities of T techniques in each of P records of the irradiance cache.
 
-    Techniques are the emitters in the scene's order, then the guide. Probabilities are proportional to
-    ``weights`` (P, T). All cells without a record share record 0; if P is 1, all cells do.
+    Techniques are the emitters in the scene's order, then the guide's openings. Probabilities are
+    proportional to ``weights`` (P, T). All cells without a record share record 0; if P is 1, all cells do.
     """
 
     def __init__(self, scene: Any, guide: SkyGuide | None, weights: NDArray[np.float64]):
         self.scene, self.guide = scene, guide
         self.num_emitters = len(scene.emitters())
-        self.num_techniques = self.num_emitters + (guide is not None)
+        self.num_techniques = self.num_emitters + (0 if guide is None else len(guide.shares))
         self.num_records, self.num_slots = len(weights), max(SLOTS, 2 * self.num_techniques)
         counts = whole_slots(weights, self.num_slots)
         starts = np.cumsum(counts, axis=1) - counts
@@ -63,6 +63,8 @@ class LightSampler:
         packed = order | starts[rows, order] << 10 | counts[rows, order] << 20
         self.table = mi.UInt32(packed.ravel().astype(np.uint32))
         self.probabilities = mi.Float((counts / self.num_slots).ravel().astype(np.float32))
+        guided = counts[:, self.num_emitters :].sum(axis=1) / self.num_slots
+        self.guided_probability = mi.Float(guided.astype(np.float32))  # of all openings together
         registry = np.array(dr.reinterpret_array(mi.UInt32, scene.emitters_dr())).astype(np.int64)
         index_of = np.zeros(int(registry.max(initial=0)) + 1, np.uint32)
         index_of[registry] = np.arange(len(registry))
@@ -74,7 +76,7 @@ class LightSampler:
 
     def arrays(self) -> list[Any]:
         """Arrays that a recorded kernel reads."""
-        own = [self.table, self.probabilities, self.index_of_emitter]
+        own = [self.table, self.probabilities, self.guided_probability, self.index_of_emitter]
         return own if self.guide is None else [*own, *self.guide.arrays()]
 
     def index(self, emitter: Array) -> Array:
@@ -103,21 +105,22 @@ class LightSampler:
     ) -> tuple[Any, Any]:
         """Sample a direction to an emitter; return ``DirectionSample3f`` and unoccluded radiance / density.
 
-        ``sample`` in [0, 1)^2 selects technique and direction, ``choice`` in [0, 1) the guide's cell.
+        ``sample`` in [0, 1)^2 selects technique and direction, ``choice`` in [0, 1) the opening's cell.
         """
         technique, rest = self.choose(record, sample.x)
         guide = self.guide
         if guide is None:
             index, guided = technique, mi.Bool(False)
         else:
-            is_last: Any = technique == self.num_emitters
-            index = dr.select(is_last, self.environment_index, technique)
-            guided = active & is_last & guide.contains(si.p)
+            is_opening: Any = technique >= self.num_emitters
+            index = dr.select(is_opening, self.environment_index, technique)
+            guided = active & is_opening & guide.contains(si.p)
         warped = mi.Point2f((mi.Float(index) + rest) / self.num_emitters, sample.y)
         ds, radiance = self.scene.sample_emitter_direction(si, warped, False, active & ~guided)
         emitted, own_pdf = radiance * ds.pdf, ds.pdf
         if guide is not None:
-            direction = guide.sample(si.p, choice, mi.Point2f(rest, sample.y))
+            opening: Any = dr.select(is_opening, technique - self.num_emitters, mi.UInt32(0))
+            direction = guide.sample(si.p, opening, choice, mi.Point2f(rest, sample.y))
             sky = dr.zeros(mi.SurfaceInteraction3f)
             sky.wi = -direction
             through: Any = dr.zeros(mi.DirectionSample3f)
@@ -144,36 +147,39 @@ class LightSampler:
             return own_pdf * self.num_emitters * probability
         is_sky: Any = index == self.environment_index
         is_inside = guide.contains(point)
-        guided = dr.select(is_sky, self.probability(record, mi.UInt32(self.num_emitters)), 0.0)
-        probability += dr.select(is_inside, 0.0, guided)  # outside the box, the environment itself is sampled
-        through = dr.select(is_sky & is_inside, guided * guide.pdf(point, direction), 0.0)
+        # Outside the box, the environment itself is sampled instead of the openings.
+        guided = dr.gather(mi.Float, self.guided_probability, self._row(record))
+        probability += dr.select(is_sky & ~is_inside, guided, 0.0)
+        opening, density = guide.pdf(point, direction)
+        chosen = self.probability(record, self.num_emitters + opening)
+        through = dr.select(is_sky & is_inside, chosen * density, 0.0)
         return own_pdf * self.num_emitters * probability + through
 
-    def technique(self, ds: Any, radiance: Array) -> Array:
-        """Technique to which the light of an emitter sample is attributed.
+    def technique(self, point: Array, ds: Any, radiance: Array) -> Array:
+        """Technique to which the light of an emitter sample at ``point`` is attributed.
 
-        Light of the sky is attributed to the guide, if there is one, unless its luminance ``radiance`` in the
-        direction of ``ds`` exceeds the maximum luminance of the sky without its sun.
+        Light of the sky is attributed to its opening, if there is a guide, unless its luminance ``radiance``
+        in the direction of ``ds`` exceeds the maximum luminance of the sky without its sun.
         """
         index = self.index(ds.emitter)
         if self.guide is None:
             return index
         is_sky = (index == self.environment_index) & (radiance <= self.guide.brightest)
-        return dr.select(is_sky, self.num_emitters, index)
+        opening, _ = self.guide.pdf(point, ds.d)
+        return dr.select(is_sky & self.guide.contains(point), self.num_emitters + opening, index)
 
 
 def uniform_sampler(scene: Any, guide: SkyGuide | None) -> LightSampler | None:
-    """Return a sampler that uses the guide with probability ``guide.share``, otherwise a uniform emitter.
+    """Return a sampler that uses openings with probabilities ``guide.shares``, otherwise a uniform emitter.
 
     Both probabilities are rounded to slots. Returns None for fewer than two techniques or more than
     :data:`MAX_TECHNIQUES`.
     """
     num_emitters = len(scene.emitters())
-    if not 2 <= num_emitters + (guide is not None) <= MAX_TECHNIQUES:
+    shares = np.zeros(0) if guide is None else guide.shares
+    if not 2 <= num_emitters + len(shares) <= MAX_TECHNIQUES:
         return None
-    weights = np.ones(num_emitters)
-    if guide is not None:
-        weights = np.append(weights * (1.0 - guide.share) / num_emitters, guide.share)
+    weights = np.append(np.full(num_emitters, (1.0 - shares.sum()) / max(num_emitters, 1)), shares)
     return LightSampler(scene, guide, weights[None])
 
 

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: MIT
+"""Finds the box around a room on whose faces the sky guide (:mod:`.sky_guide`) represents openings.
+
+A window is a sharp distribution over the cells of a face only if the face lies in its plane. Views through
+windows also visit points outside, so the box around all visited points may extend far beyond them. Faces are
+therefore moved inwards while this raises the mean logarithm of the density that a guide has along the rays
+observed to escape, which minimises the divergence of the guide from their distribution (as in Vorba et al.,
+On-line Learning of Parametric Mixture Models for Light Transport Simulation, 2014).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.rendering.transport.sky_observation import SkyObservations
+from mitsuba_plugins.cells import cell_of
+
+Array = Any
+
+CELLS = 32
+"""Number of cells along each side of a face; cells measure 0.16 m in a room of 5 m."""
+PERCENTILE = 2.0
+"""Percentage of the visited points left out beyond each face of the largest box."""
+MARGIN = 0.025
+"""Margin of the box on each side, which keeps walls inside, as a fraction of the longest side of a box that
+leaves out MARGIN_PERCENTILE of the points beyond each face and so hardly depends on surfaces outside."""
+MARGIN_PERCENTILE = 10.0
+INNER_PERCENTILES = (4, 6, 8, 10, 12.5, 15, 17.5, 20, 25, 30, 35, 40)
+"""Percentages of the visited points left out beyond faces that were moved inwards."""
+MIN_GAIN = 0.1
+"""Minimum increase of the mean logarithm of the density for moving a face."""
+NUM_RAYS = 4096
+"""Maximum number of escaping rays whose density is compared."""
+NUM_POINTS = 32768
+"""Maximum number of points for percentiles."""
+REGIONS = 24
+"""Number of regions along the longest side of the box in which the share of escaping rays is estimated."""
+OUTER_DENSITY = 0.01
+"""Density [1/sr] assumed for rays outside the box, an eighth of a uniform one: a part of the room that a face
+excludes must not pay for a better fit of the rest."""
+UNIFORM_SHARE = 0.1
+"""Weight of a uniform distribution over all cells in the density, which bounds that of unobserved cells."""
+
+
+def room_box(observations: SkyObservations) -> NDArray[np.float64] | None:
+    """Box (2, 3): its lower and upper corner. None if all visited points are equal."""
+    points = observations.points_m[:: max(1, len(observations.points_m) // NUM_POINTS)]
+    outer = np.array([PERCENTILE, *INNER_PERCENTILES])
+    planes = np.stack([np.percentile(points, share, axis=0) for share in (outer, 100.0 - outer)])
+    core = np.percentile(points, [MARGIN_PERCENTILE, 100.0 - MARGIN_PERCENTILE], axis=0)
+    margin = MARGIN * np.ptp(core, axis=0).max()
+    if not margin > 0.0:
+        return None
+    planes += np.array([-margin, margin])[:, None, None]
+    box_m = planes[:, 0]
+    step = max(1, len(observations.origins_m) // NUM_RAYS)
+    origins = observations.origins_m[::step]
+    rays = (as_vectors(origins), as_vectors(observations.directions[::step]))
+    weights = _weights(observations, box_m)[::step]
+    best = _log_density(box_m, origins, rays, weights)
+    while np.isfinite(best):
+        moved = []
+        for end, axis in np.ndindex(2, 3):
+            for plane in planes[end, 1:, axis]:
+                box = box_m.copy()
+                box[end, axis] = plane
+                is_inwards = plane > box_m[0, axis] if end == 0 else plane < box_m[1, axis]
+                if is_inwards and (box[1] > box[0]).all():
+                    moved.append((_log_density(box, origins, rays, weights), box))
+        density, box = max(moved, key=lambda pair: pair[0], default=(best, box_m))
+        if density < best + MIN_GAIN:
+            break
+        best, box_m = density, box
+    return box_m
+
+
+def _weights(observations: SkyObservations, box_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weights (E,) of escaping rays: radiance x (1 - e) / e, with the share e of rays that escape nearby.
+
+    (1 - e) / e is the relative variance of finding the sky by chance. Points outside, from which most rays
+    escape, need no guide.
+    """
+    side = (box_m[1] - box_m[0]).max() / REGIONS
+
+    def region(points: NDArray[np.float64]) -> NDArray[np.int64]:
+        place = np.clip(((points - box_m[0]) / side).astype(np.int64) + 1, 0, REGIONS + 1)
+        return np.ravel_multi_index(tuple(place.T), (REGIONS + 2,) * 3)
+
+    size = (REGIONS + 2) ** 3
+    origins = region(observations.origins_m)
+    num_points = np.bincount(region(observations.points_m), minlength=size)
+    num_escapes = np.bincount(origins, minlength=size)
+    share = (num_escapes / np.maximum(num_points, num_escapes + 1e-9))[origins]
+    return observations.clamped_radiance() * (1.0 - share) / share
+
+
+def _log_density(
+    box_m: NDArray[np.float64],
+    origins_m: NDArray[np.float64],
+    rays: tuple[Any, Any],
+    weights: NDArray[np.float64],
+) -> float:
+    """Mean logarithm of the density [1/sr] of rays in a guide fitted to the others.
+
+    ``rays`` are the rays' origins, again, and directions.
+    """
+    is_inside = ((origins_m >= box_m[0]) & (origins_m <= box_m[1])).all(axis=1)
+    inner = np.where(is_inside, weights, 0.0)
+    if not inner.any():
+        return -np.inf
+    cell, distance, cosine = exits(box_m, *rays)
+    num_cells = 6 * CELLS**2
+    found = np.bincount(cell, inner, num_cells)[cell] - inner  # without the ray itself
+    side = box_m[1] - box_m[0]
+    area = side.prod() / side[cell // (2 * CELLS**2)] / CELLS**2
+    share = (1.0 - UNIFORM_SHARE) * np.maximum(found, 0.0) / inner.sum() + UNIFORM_SHARE / num_cells
+    density = np.where(is_inside, share / area * distance**2 / np.maximum(cosine, 1e-9), OUTER_DENSITY)
+    return float(weights @ np.log(density) / weights.sum())
+
+
+def exits(box_m: NDArray[np.float64], origins: Array, directions: Array) -> tuple[NDArray[Any], ...]:
+    """Cell, distance [m] and cosine, each (N,), at which rays (``mi.Point3f``) leave a box (2, 3)."""
+    low, high = corners(box_m)
+    dr.make_opaque(low, high)
+    cell, distance, along = (np.array(part) for part in exit_cell(low, high, origins, directions))
+    return cell.astype(np.int64), distance.astype(np.float64), np.abs(along.astype(np.float64))
+
+
+def as_vectors(rows: NDArray[np.float64]) -> Any:
+    """``rows`` (N, 3) as an evaluated ``mi.Point3f``."""
+    vectors: Any = mi.Point3f(rows.T.astype(np.float32))
+    dr.eval(vectors)
+    return vectors
+
+
+def corners(box_m: NDArray[np.float64]) -> tuple[Any, Any]:
+    """Lower and upper corner (``mi.Point3f``) of a box (2, 3)."""
+    low, high = (mi.Point3f(*(float(c) for c in corner)) for corner in box_m)
+    return low, high
+
+
+def exit_cell(low: Array, high: Array, point: Array, direction: Array) -> tuple[Any, Any, Any]:
+    """Return cell and distance at which rays exit a box, and the direction's component normal to the face.
+
+    The cell index is always valid, even for NaN input of lanes without a vertex.
+    """
+    far = [
+        dr.select(d == 0.0, dr.inf, (dr.select(d > 0.0, upper, lower) - p) / d)
+        for p, d, lower, upper in zip(point, direction, low, high, strict=True)
+    ]
+    t = dr.minimum(far[0], dr.minimum(far[1], far[2]))
+    is_x, is_y = far[0] == t, far[1] == t
+    along = dr.select(is_x, direction.x, dr.select(is_y, direction.y, direction.z))
+    axis = dr.select(is_x, mi.UInt32(0), dr.select(is_y, mi.UInt32(1), mi.UInt32(2)))
+    share = (point + t * direction - low) / (high - low)
+    column, row = dr.select(is_x, share.y, share.x), dr.select(is_x | is_y, share.z, share.y)
+    cell = 2 * axis + dr.select(along > 0.0, mi.UInt32(1), mi.UInt32(0))
+    for position in (column, row):
+        cell = cell * CELLS + cell_of(position * CELLS, CELLS)
+    return cell, t, along
