@@ -14,7 +14,7 @@ from tests.conftest import REPOSITORY
 
 nbformat = pytest.importorskip("nbformat", reason="needs the extra notebook")
 NOTEBOOK = REPOSITORY / "docs" / "tutorials" / "round-trip.ipynb"
-SMALL = {"SIZE": (64, 48), "VIEWS": 6, "STEPS": 3, "ATLAS": 256}
+SMALL = {"SIZE": (48, 36), "VIEWS": 3, "STEPS": 2, "ATLAS": 128}
 HANGS_S = 1800
 """Limit of a cell's time in seconds; a busy machine may be many times slower than an idle one."""
 PROCESSOR_S = 300
