@@ -86,18 +86,31 @@ def create_plan(
     missing = [i for i in range(recipe.configurations) if not _is_assembled(folder, recipe, library, i)]
     done = recipe.configurations - len(missing)
     report(done, recipe.configurations)
-    if missing:
-        with ProcessPoolExecutor(min(workers, len(missing)), get_context("spawn")) as pool:
-            futures = [pool.submit(_assemble_one, recipe, library.paths, folder, index) for index in missing]
-            try:
-                for future in as_completed(futures):
-                    future.result()
-                    done += 1
-                    report(done, recipe.configurations)
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+    for _ in _assembled(recipe, library.paths, folder, missing, workers):
+        done += 1
+        report(done, recipe.configurations)
     return write_plan(folder, recipe, library)
+
+
+def _assembled(
+    recipe: Recipe, library_paths: tuple[Path, ...], folder: DatasetFolder, indices: list[int], workers: int
+) -> Iterator[None]:
+    """Assemble configurations, one by one in this process or several at once in others; yield after each."""
+    num_workers = min(workers, len(indices))
+    if num_workers <= 1:
+        for index in indices:
+            _assemble_one(recipe, library_paths, folder, index)
+            yield
+        return
+    with ProcessPoolExecutor(num_workers, get_context("spawn")) as pool:
+        futures = [pool.submit(_assemble_one, recipe, library_paths, folder, index) for index in indices]
+        try:
+            for future in as_completed(futures):
+                future.result()
+                yield
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
 
 
 def read_configurations(root: Path, plan: Plan) -> Iterator[Configuration]:
