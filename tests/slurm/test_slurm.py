@@ -25,6 +25,13 @@ from tests.datagen.small_plan import plan_small
 from tests.slurm.cluster import Cluster, missing_programs
 from tests.small_disk import small_disk
 
+UNITS = 2
+SETUP = f"export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH"
+INDEX_ONLY = """[ "${SLURM_ARRAY_TASK_ID:-}" ] || datagen() {
+    case "$1" in verify|report) ;; *) command datagen "$@" ;; esac
+}"""
+"""Shell code with which the collecting job neither verifies nor reports, as one test covers both."""
+
 pytestmark = pytest.mark.skipif(
     bool(missing_programs()) or os.geteuid() != 0,
     reason=f"needs root and Slurm (Debian: apt-get install slurm-wlm munge); missing: {missing_programs()}",
@@ -46,7 +53,7 @@ def library_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def expected(tmp_path_factory: pytest.TempPathFactory, library_root: Path) -> dict[str, str]:
     """Hashes of the shards that one local worker makes."""
-    folder = plan_small(tmp_path_factory.mktemp("local") / "dataset", library_root, num_units=4)
+    folder = plan_small(tmp_path_factory.mktemp("local") / "dataset", library_root, num_units=UNITS)
     run_local(folder.root, LocalOptions(workers=1))
     return _hashes(folder)
 
@@ -57,7 +64,7 @@ def _hashes(folder: DatasetFolder) -> dict[str, str]:
 
 def _options(**changes: object) -> SlurmOptions:
     """Options for the test cluster; `datagen` is this environment's."""
-    setup = f"export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH"
+    setup = f"{SETUP}\n{INDEX_ONLY}"
     defaults: dict = {"time_limit": "00:10:00", "memory": "1G", "cpus": 1, "setup": setup}
     return SlurmOptions(**{**defaults, **changes})
 
@@ -82,10 +89,10 @@ def test_array_runs_the_plan_and_the_dependent_job_collects(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     name = "a set with spaces, ä, it's $(touch pwned); `touch pwned` & #1 %a %%j 'x"
-    folder = plan_small(tmp_path / name, library_root, num_units=4)
+    folder = plan_small(tmp_path / name, library_root, num_units=UNITS)
     options = ("nice=5", "comment=two words # not a comment")
-    submission = _submit(cluster, folder, monkeypatch, throttle=3, sbatch_options=options)
-    assert len(submission.job_ids) == 2 and submission.num_units == 4
+    submission = _submit(cluster, folder, monkeypatch, setup=SETUP, throttle=2, sbatch_options=options)
+    assert len(submission.job_ids) == 2 and submission.num_units == UNITS
     unit, collecting = (cluster.run("scontrol", "show", "job", job) for job in submission.job_ids)
     assert "Comment=two words # not a comment" in unit and "Nice=5" in unit
     assert "Comment" not in collecting and "Nice=0" in collecting
@@ -93,7 +100,7 @@ def test_array_runs_the_plan_and_the_dependent_job_collects(
     log = (folder.logs_path / "slurm-collect.log").read_text()
     assert folder.index_path.exists(), log
     assert (folder.root / "report" / "index.html").exists(), log
-    assert (folder.logs_path / "slurm-unit-3.log").exists(), "the directive names the folder as it is"
+    assert (folder.logs_path / "slurm-unit-1.log").exists(), "the directive names the folder as it is"
     assert _hashes(folder) == expected
     again = _submit(cluster, folder, monkeypatch)
     assert again.num_units == 0 and again.job_ids == ()
@@ -107,7 +114,7 @@ def test_a_killed_node_costs_only_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """If only slurmd is killed, its job runs along with the requeued one, without duplicate results."""
-    folder = plan_small(tmp_path / "node", library_root, num_units=4)
+    folder = plan_small(tmp_path / "node", library_root, num_units=UNITS)
     _submit(cluster, folder, monkeypatch)
     cluster.wait_for(lambda: list(folder.root.glob("work/*/running")), "a unit that runs")
     cluster.kill_node("n1", and_jobs=False)
@@ -117,7 +124,7 @@ def test_a_killed_node_costs_only_time(
         cluster.start_node("n1")
     cluster.wait_for(lambda: cluster.states().count("idle") == 3, "the node to come back")
     assert _hashes(folder) == expected
-    assert len(list(folder.shards_path.iterdir())) == 4
+    assert len(list(folder.shards_path.iterdir())) == UNITS
 
 
 def test_a_cancelled_plan_resumes(
@@ -127,7 +134,7 @@ def test_a_cancelled_plan_resumes(
     library_root: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    folder = plan_small(tmp_path / "cancel", library_root, num_units=4)
+    folder = plan_small(tmp_path / "cancel", library_root, num_units=UNITS)
     _submit(cluster, folder, monkeypatch, throttle=1)
     # a unit takes a second, so its views may exist only between two polls; its manifest remains
     cluster.wait_for(
@@ -138,7 +145,7 @@ def test_a_cancelled_plan_resumes(
     result = subprocess.run(command, env=cluster.environment, capture_output=True, text=True, check=True)
     assert "cancelled" in result.stdout
     cluster.wait_until_idle()
-    assert read_status(folder.root).done < 4
+    assert read_status(folder.root).done < UNITS
     _submit(cluster, folder, monkeypatch)
     cluster.wait_until_idle()
     assert _hashes(folder) == expected
@@ -152,7 +159,7 @@ def test_a_requeued_task_is_done_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Slurm ends and restarts the running task, as after an administrator's requeue or a preemption."""
-    folder = plan_small(tmp_path / "requeue", library_root, num_units=4)
+    folder = plan_small(tmp_path / "requeue", library_root, num_units=UNITS)
     submission = _submit(cluster, folder, monkeypatch, throttle=1)
     cluster.wait_for(lambda: list(folder.root.glob("work/*/running")), "a unit that runs")
     running = [line.split()[0] for line in cluster.jobs() if " RUNNING " in line]
@@ -160,9 +167,9 @@ def test_a_requeued_task_is_done_once(
     cluster.run("scontrol", "requeue", running[0])
     cluster.wait_until_idle()
     log = (folder.logs_path / "slurm-collect.log").read_text()
-    assert "4 shards" in log, "the collecting job waits for the requeued task"
+    assert f"{UNITS} shards" in log, "the collecting job waits for the requeued task"
     assert _hashes(folder) == expected
-    assert len(list(folder.shards_path.iterdir())) == 4
+    assert len(list(folder.shards_path.iterdir())) == UNITS
 
 
 def test_a_full_disk_and_one_more_submission(
@@ -173,7 +180,7 @@ def test_a_full_disk_and_one_more_submission(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with small_disk(tmp_path / "disk", 24) as disk:
-        folder = plan_small(disk.root / "set", library_root, num_units=4)
+        folder = plan_small(disk.root / "set", library_root, num_units=UNITS)
         disk.fill(leave=400_000)
         with pytest.raises(InputError, match="free disk = 0 MB"):
             _submit(cluster, folder, monkeypatch, attempts=1)
@@ -182,7 +189,7 @@ def test_a_full_disk_and_one_more_submission(
         assert read_status(folder.root).done == 0
         disk.make_room()
         forget_failures(folder.root)
-        assert _submit(cluster, folder, monkeypatch).num_units == 4
+        assert _submit(cluster, folder, monkeypatch).num_units == UNITS
         cluster.wait_until_idle()
         assert _hashes(folder) == expected
 
@@ -199,7 +206,7 @@ def test_a_killed_controller_loses_no_finished_units(
     to cancel and to submit again (docs/farm.md). The test uses a separate cluster because reused ids would
     disturb others.
     """
-    folder = plan_small(tmp_path / "controller", library_root, num_units=4)
+    folder = plan_small(tmp_path / "controller", library_root, num_units=UNITS)
     with Cluster(tmp_path / "cluster") as cluster:
         _submit(cluster, folder, monkeypatch, throttle=1)
         cluster.wait_for(lambda: list(folder.root.glob("work/*/running")), "a unit that runs")
@@ -211,11 +218,11 @@ def test_a_killed_controller_loses_no_finished_units(
                 assert cancel(folder.root)
                 cluster.wait_until_idle()
                 cluster.resume_nodes()
-            if read_status(folder.root).done == 4:
+            if read_status(folder.root).done == UNITS:
                 break
             _submit(cluster, folder, monkeypatch)
         assert _hashes(folder) == expected
-        assert len(list(folder.shards_path.iterdir())) == 4
+        assert len(list(folder.shards_path.iterdir())) == UNITS
     assert not cluster.leftovers()
 
 
