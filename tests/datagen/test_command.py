@@ -134,6 +134,9 @@ def test_without_llvm_one_message_appears_before_work_starts(inputs: Path, tmp_p
     (sentence,) = [line for line in result.stderr.splitlines() if line and "timing samples" not in line]
     assert sentence.startswith("LLVM: DRJIT_LIBLLVM_PATH = /nothing/libLLVM.so, no loadable LLVM")
     assert sentence.endswith("its libLLVM shared library") and not out.exists()
+
+
+def test_doctor_reports_a_missing_llvm() -> None:
     listed = " ".join(_datagen("doctor", COLUMNS="400", **NO_LLVM).stdout.split())
     assert "/nothing/libLLVM.so, no loadable LLVM of 16 or later; expected LLVM 19 or later" in listed
     assert "apt-get install libllvm19" in listed

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -27,9 +28,10 @@ def test_imported_assets_are_recombined_rendered_and_verified(shared_data: Path,
         "import", shared_data / "scenes" / "staircase2", "--library", library, "--dielectric", "replace"
     )
     assert "CC-BY-3.0" in output and "approximated:" in output
-    for name in ("tea_set_01_1k.gltf", "painted_wooden_stool_1k.gltf"):
-        _datagen("import", furniture / name, "--library", library)
-    _datagen("import", shared_data / "textures" / "ambientcg", "--library", library)
+    _datagen("import", furniture / "painted_wooden_stool_1k.gltf", "--library", library)
+    for name in ("rock", "marble"):
+        shutil.copytree(shared_data / "textures" / "ambientcg" / name, tmp_path / "textures" / name)
+    _datagen("import", tmp_path / "textures", "--library", library)
 
     recipe = yaml.safe_load((REPOSITORY / "scenes" / "recipes" / "real.yaml").read_text())
     recipe.update(
