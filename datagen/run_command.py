@@ -306,7 +306,7 @@ def estimate(
     out: Annotated[Path, typer.Option(help="Folder of the dataset, for its free disk space.")] = Path(),
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Predict time, disk and memory of a recipe from two timed samples; exit code 1 if the disk is too small.
+    """Predict time, disk and memory of a recipe from timed samples; exit code 1 if the disk is too small.
 
     Example: datagen estimate paper --workers 2
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Predicts time, disk space and memory of a recipe from two timed samples.
+"""Predicts time, disk space and memory of a recipe from two timed samples, or one if it has at most 4 views.
 
 Each sample plans one configuration with the recipe's settings but at most 4 or 8 views, and runs it through
 all stages in a temporary folder. Time and disk space are extrapolated linearly to all views and
@@ -79,21 +79,22 @@ def _line(x1: float, y1: float, x2: float, y2: float, x: float) -> float:
 
 
 def estimate(recipe: Recipe, library: Library, report: Advance = no_advance) -> Estimate:
-    """Predict the cost of ``recipe`` from two timed samples, counted by ``report(done, total)``.
+    """Predict the cost of ``recipe`` from timed samples, counted by ``report(done, total)``.
 
     Raises :class:`InputError` if a sample fails.
     """
     begin = time.perf_counter()
     samples = []
+    sizes = sorted({min(4, recipe.views), min(8, recipe.views)})
     with tempfile.TemporaryDirectory(prefix="datagen-estimate-") as folder:
-        for number, num_views in enumerate((min(4, recipe.views), min(8, recipe.views))):
-            report(number, 2)
+        for number, num_views in enumerate(sizes):
+            report(number, len(sizes))
             samples.append(_run_sample(recipe, library, num_views, Path(folder) / str(number)))
-        report(2, 2)
-    a, b = samples
+        report(len(sizes), len(sizes))
+    a, b = samples[0], samples[-1]
     views = recipe.views
     once_s = statistics.median(max(0.0, s.stage_s("render") - s.num_views * s.view_s) for s in samples)
-    few_s, many_s = (s.stage_s("stats") / s.num_views for s in samples)
+    few_s, many_s = (s.stage_s("stats") / s.num_views for s in (a, b))
     statistics_s = _line(a.num_views, few_s, b.num_views, many_s, views) * views
     pack_s = b.stage_s("pack") / b.num_views * views
     planning_s = _line(a.num_views, a.plan_s, b.num_views, b.plan_s, views) * recipe.configurations

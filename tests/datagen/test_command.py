@@ -66,14 +66,16 @@ def test_from_a_recipe_to_verified_shards(inputs: Path) -> None:
     assert again.returncode == 0 and "(0 new)" in again.stdout
 
 
-def test_estimate_predicts_before_anything_large_starts(inputs: Path) -> None:
+@pytest.mark.parametrize("views", [3, pytest.param(5, marks=pytest.mark.slow)], ids=["one", "two samples"])
+def test_estimate_predicts_before_anything_large_starts(inputs: Path, views: int) -> None:
     recipe = inputs / "split.yaml"
-    recipe.write_text(RECIPE + "splits: {train: 0.5, validation: 0.5, test: 0.0}\n")
+    text = RECIPE.replace("views: 3", f"views: {views}")
+    recipe.write_text(text + "splits: {train: 0.5, validation: 0.5, test: 0.0}\n")
     result = _datagen("estimate", recipe, "--library", inputs / "library", "--json")
     assert result.returncode == 0, result.stderr
     estimate = json.loads(result.stdout)
-    assert estimate["num_views"] == 6
-    actual = json.loads((inputs / "out" / "index.json").read_text())["num_bytes"]
+    assert estimate["num_views"] == 2 * views
+    actual = json.loads((inputs / "out" / "index.json").read_text())["num_bytes"] * views / 3
     assert 0.5 * actual < estimate["total_bytes"] < 2 * actual
     assert 200 < estimate["peak_memory_mb"] < 4000
     assert estimate["total_seconds"] > 0
