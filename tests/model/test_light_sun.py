@@ -204,6 +204,9 @@ def test_sun_is_exported_with_the_same_direction_everywhere(tmp_path: Path) -> N
     """Package, Mitsuba scene and GLB have light of the sun's irradiance that travels away from it."""
     import mitsuba as mi
 
+    from mitsuba_plugins import register
+
+    register()
     image = np.ones((HEIGHT, 2 * HEIGHT, 3), np.float32)
     reconstruction = exported(tmp_path, FoundLights(windows=(WINDOW,), environment=image, sun=SUN))
     with write_asset(tmp_path / "asset", reconstruction, "room") as package:
