@@ -94,17 +94,17 @@ def room_cameras(num: int = 24) -> list[Camera]:
     return cameras
 
 
-@lru_cache(maxsize=2)
-def photographed_room(samples: int = 256) -> tuple[TracedView, ...]:
-    """Path-traced HDR views of the room, with samples at pixel centres."""
-    return once(f"light-room-{samples}", lambda: _photographs(samples))
+@lru_cache(maxsize=1)
+def photographed_room() -> tuple[TracedView, ...]:
+    """Path-traced HDR views of the room, with 256 samples at pixel centres."""
+    return once("light-room", lambda: _photographs(256))
 
 
 @lru_cache(maxsize=1)
-def sunlit_room(samples: int = 512) -> tuple[TracedView, ...]:
+def sunlit_room() -> tuple[TracedView, ...]:
     """:func:`photographed_room` with the light of a sun added, which the sky's panel would block."""
-    sun = once(f"light-room-sun-{samples}", lambda: _photographs(samples, is_sunlit=True))
-    views = zip(photographed_room(samples), sun, strict=True)
+    sun = once("light-room-sun", lambda: _photographs(512, is_sunlit=True))
+    views = zip(photographed_room(), sun, strict=True)
     return tuple(replace(view, color=view.color + sunlit.color) for view, sunlit in views)
 
 
