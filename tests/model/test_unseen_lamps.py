@@ -31,7 +31,7 @@ def without_lamp() -> tuple[TracedView, ...]:
 
 @lru_cache(maxsize=1)
 def room() -> LightMaterials:
-    return solved(without_lamp(), predicted(without_lamp()))
+    return solved(without_lamp(), predicted(without_lamp()), options=ONE_ROUND)
 
 
 def test_radiance_follows_from_the_surrounding_surfaces() -> None:
@@ -51,7 +51,7 @@ def test_network_replaces_materials_where_estimated_light_prevails(monkeypatch: 
     """
     assert room().solved.replaced.max() > 0.9 and room().solved.confidence[:, 1:].max() > 0.9
     monkeypatch.setattr(confidence, "INFERRED_LIGHT", (0.1, 0.3))
-    found = solved(without_lamp(), predicted(without_lamp()))
+    found = solved(without_lamp(), predicted(without_lamp()), options=ONE_ROUND)
     weights = np.column_stack([found.solved.replaced, found.solved.confidence])
     assert weights[~found.solved.is_metal].max() == 0
     metal = of_quad(found, "metal")
@@ -76,7 +76,7 @@ def test_a_lamp_treated_as_dark_is_detected(monkeypatch: pytest.MonkeyPatch) -> 
 def test_order_of_views_changes_nothing() -> None:
     views = without_lamp()
     order = np.random.default_rng(3).permutation(len(views))
-    shuffled = solved(tuple(views[index] for index in order), predicted(views))
+    shuffled = solved(tuple(views[index] for index in order), predicted(views), options=ONE_ROUND)
     for place, index in enumerate(order):
         for name, values in room().maps[index].items():
             assert values.tobytes() == shuffled.maps[place][name].tobytes()
