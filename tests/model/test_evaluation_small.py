@@ -6,6 +6,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +24,20 @@ from model.evaluation.room import plan_scene
 from model.evaluation.suite import MapsMethod, NetworkMethod, Suite, TruthMethod, read_suite
 from model.evaluation.tables import tables_of
 from model.evaluation.writing import is_written, write_results
+from model.reconstruction.light.options import LightOptions
 from model.reconstruction.predict.predictor import Predictor
 from tests.conftest import REPOSITORY
 
 SMALL = REPOSITORY / "scenes" / "suites" / "small.yaml"
+FEW_RAYS = partial(
+    LightOptions,
+    irradiance_rays=36,
+    second_irradiance_rays=128,
+    estimate_rays=16,
+    solve_rays=6,
+    specular_rays=3,
+)
+"""Options of the light stage with more noise, which does not change the order of the methods."""
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +47,10 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def small(cache: Path) -> tuple[Suite, Evaluation]:
-    suite = read_suite(SMALL)
-    return suite, evaluate(suite, cache)
+    suite = read_suite(SMALL).model_copy(update={"atlas": 512})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("model.reconstruction.light.map_stage.LightOptions", FEW_RAYS)
+        return suite, evaluate(suite, cache)
 
 
 def _methods(evaluation: Evaluation) -> dict[str, MethodResult]:
