@@ -360,7 +360,9 @@ def test_inference_with_confidence_continues(rendered: Rendered) -> None:
     """Confidence is stored with the maps; a view without it is predicted again, to the same maps; maps
     without confidence are refused."""
     out = rendered.root / "weighted"
-    options = InferOptions(atlas=128, precision="float32", batch=2, weights="confidence", has_exr=False)
+    options = InferOptions(
+        atlas=128, precision="float32", batch=2, weights="confidence", materials="network", has_exr=False
+    )
     infer(rendered.small_capture(), out, CheckpointMaps(rendered.checkpoint), options)
     first = {path.name: path.read_bytes() for path in sorted((out / "views").iterdir())}
     atlas = (out / "atlas" / "roughness.png").read_bytes()
