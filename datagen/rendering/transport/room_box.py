@@ -116,11 +116,18 @@ def _log_density(
     cell, distance, cosine = exits(box_m, *rays)
     num_cells = 6 * CELLS**2
     found = np.bincount(cell, inner, num_cells)[cell] - inner  # without the ray itself
-    side = box_m[1] - box_m[0]
-    area = side.prod() / side[cell // (2 * CELLS**2)] / CELLS**2
     share = (1.0 - UNIFORM_SHARE) * np.maximum(found, 0.0) / inner.sum() + UNIFORM_SHARE / num_cells
-    density = np.where(is_inside, share / area * distance**2 / np.maximum(cosine, 1e-9), OUTER_DENSITY)
+    density = share / cell_areas(box_m)[cell] * distance**2 / np.maximum(cosine, 1e-9)
+    density = np.where(
+        is_inside, np.maximum(density, 1e-30), OUTER_DENSITY
+    )  # 0 for rays that start on a face
     return float(weights @ np.log(density) / weights.sum())
+
+
+def cell_areas(box_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Areas [m^2] (6 CELLS^2,) of the cells of a box (2, 3)."""
+    side = box_m[1] - box_m[0]
+    return np.repeat(side.prod() / side / CELLS**2, 2 * CELLS**2)
 
 
 def exits(box_m: NDArray[np.float64], origins: Array, directions: Array) -> tuple[NDArray[Any], ...]:

@@ -29,7 +29,15 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.rendering.transport.room_box import CELLS, as_vectors, corners, exit_cell, exits, room_box
+from datagen.rendering.transport.room_box import (
+    CELLS,
+    as_vectors,
+    cell_areas,
+    corners,
+    exit_cell,
+    exits,
+    room_box,
+)
 from datagen.rendering.transport.sky_observation import SkyObservations
 from mitsuba_plugins.cells import cell_of
 
@@ -75,10 +83,8 @@ class SkyGuide:
 
         self.environment = scene.environment()
         self.box_m = box_m
-        side = box_m[1] - box_m[0]
-        areas = np.array([side[(axis + 1) % 3] * side[(axis + 2) % 3] for axis in (0, 0, 1, 1, 2, 2)])
         probabilities = probabilities / probabilities.sum()
-        openings = _openings(probabilities, side)
+        openings = _openings(probabilities, box_m[1] - box_m[0])
         self.shares = share * np.bincount(openings, probabilities)
         table = np.concatenate([_table(probabilities * (openings == k)) for k in range(len(self.shares))])
         drawn = np.bincount(table, minlength=probabilities.size) / TABLE  # the tables' exact probabilities
@@ -87,7 +93,7 @@ class SkyGuide:
         self.distance = mi.Float(outside_distance(scene))  # from which the environment's light arrives
         self.table = mi.UInt32(table.astype(np.uint32))
         self.opening_of_cell = mi.UInt32(openings.astype(np.uint32))
-        self.density = mi.Float((drawn / np.repeat(areas / CELLS**2, CELLS**2)).astype(np.float32))
+        self.density = mi.Float((drawn / cell_areas(box_m)).astype(np.float32))
         dr.make_opaque(self.low, self.high, self.brightest, self.distance)
 
     def arrays(self) -> list[Any]:
