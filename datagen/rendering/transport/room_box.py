@@ -139,7 +139,7 @@ def exits(box_m: NDArray[np.float64], origins: Array, directions: Array) -> tupl
 
 
 def as_vectors(rows: NDArray[np.float64]) -> Any:
-    """``rows`` (N, 3) as an evaluated ``mi.Point3f``."""
+    """``rows`` (N, 3) as a ``mi.Point3f`` in memory, so that kernels do not depend on N."""
     vectors: Any = mi.Point3f(rows.T.astype(np.float32))
     dr.eval(vectors)
     return vectors
