@@ -34,6 +34,7 @@ from datagen.rendering.sample_budget import (
     estimate_error,
 )
 from datagen.rendering.transport.integrator import PathTracer
+from datagen.rendering.view_job import QUICK_SAMPLES
 from oracles.rendering_scenes import configure, renderer
 from tests.datagen.test_rendering_renderer import CAMERAS, LIGHTS, OBJECTS, box_room, digest
 
@@ -319,12 +320,21 @@ def test_a_view_with_enough_samples_stops_and_is_finished(tmp_path: Path) -> Non
     stops.close()
 
 
-@pytest.mark.parametrize(("target", "expected"), [(1.0, "balanced"), (1e-4, "high")])
-def test_only_views_of_one_pass_are_denoised_quickly(tmp_path: Path, target: float, expected: str) -> None:
-    room = make(tmp_path / "room", max_rel_mse=target, max_path_samples=16)
-    record = room.render_view(0).render
-    assert record.denoiser.endswith(expected)
-    assert record.path_samples == (FIRST_SAMPLES if expected == "balanced" else 16)
+def test_views_of_few_samples_are_denoised_quickly(tmp_path: Path) -> None:
+    first = make(tmp_path / "first", max_rel_mse=1.0, max_path_samples=64).render_view(0).render
+    assert first.denoiser.endswith("balanced") and first.path_samples == FIRST_SAMPLES
+    assert first.estimated_rel_mse is not None
+    target = 0.8 * first.estimated_rel_mse
+    second = make(tmp_path / "second", max_rel_mse=target, max_path_samples=64).render_view(0).render
+    assert second.denoiser.endswith("balanced") and FIRST_SAMPLES < second.path_samples <= QUICK_SAMPLES
+    assert second.estimated_rel_mse is not None and second.estimated_rel_mse <= target
+
+
+@pytest.mark.parametrize("ceiling", [QUICK_SAMPLES, 2 * QUICK_SAMPLES])
+def test_views_above_their_target_are_denoised_well(tmp_path: Path, ceiling: int) -> None:
+    record = make(tmp_path / "room", max_rel_mse=1e-4, max_path_samples=ceiling).render_view(0).render
+    assert record.denoiser.endswith("high")
+    assert record.path_samples == ceiling and record.at_ceiling
 
 
 def test_another_seed_equals_a_separate_renderer(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 Array = Any
 
-SLOTS = 32
+SLOTS = 64
 """Minimum number of slots in a row of the table; a row has at least twice as many slots as techniques.
 Probabilities are multiples of 1 / slots, and at least 1 / slots."""
 MAX_LEARNED = 24
