@@ -36,7 +36,7 @@ from datagen.foundation.color import exposure_for, luminance
 from datagen.rendering.clamped_light import missing_error
 from datagen.rendering.error import EPSILON
 
-FIRST_SAMPLES = 8
+FIRST_SAMPLES = 4
 """Samples per pixel of the first pass, both halves together; later passes depend on the estimated error."""
 BIAS_PER_SPREAD = 1.0
 """Prior of the squared bias of a denoised half, divided by its spread (decision 70)."""
@@ -51,6 +51,8 @@ MIN_SHARE = 0.05
 """Fraction of the mean error of all tiles added to each tile, for light that no sample has hit yet."""
 MIN_PASS = 0.1
 """Minimum size of a pass relative to all earlier samples, since every pass requires an error estimate."""
+MIN_ADDED = 1.0
+"""Minimum mean number of samples that a pass adds to a half; they take about as long as the error estimate."""
 SAMPLE_STEP = 4
 """Step of the number of samples added to a tile's half; multiples keep the lists of pixels short."""
 
@@ -188,8 +190,12 @@ class SampleBudget:
         return estimate.bound <= self.max_rel_mse
 
     def first_counts(self, shape: tuple[int, int]) -> NDArray[np.int64]:
-        """Samples (H, W) of one half in the first pass, for images of ``shape`` (H, W)."""
-        return np.full(shape, min(FIRST_SAMPLES, self.max_samples) // 2, np.int64)
+        """Samples (H, W) of one half in the first pass, for images of ``shape`` (H, W).
+
+        These are all that the maximum permits if it is too small for a second pass.
+        """
+        is_only = self.max_samples < FIRST_SAMPLES + 2 * SAMPLE_STEP
+        return np.full(shape, (self.max_samples if is_only else FIRST_SAMPLES) // 2, np.int64)
 
     def next_counts(self, counts: NDArray[np.int64], estimate: ErrorEstimate) -> NDArray[np.int64]:
         """Samples (H, W) to add to each half, which has ``counts`` (H, W) so far; all 0 to stop."""
@@ -206,7 +212,7 @@ class SampleBudget:
         if not errors.any():
             errors += 1.0  # the halves agree everywhere; the rest is bias, whose position is unknown
         before = tiles.means(counts)
-        for share in (0.25, 0.5, 1.0, 2.0):
+        for share in (s for s in (0.25, 0.5, 1.0, 2.0) if s * mean >= MIN_ADDED):
             after = _distribute(errors, before, tiles.areas, min(share * mean, remaining))
             gain = (errors * tiles.areas * before / after).sum() / (errors * tiles.areas).sum()
             if gain * estimate.bound <= self.max_rel_mse:

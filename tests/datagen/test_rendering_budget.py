@@ -27,6 +27,7 @@ from datagen.rendering.error import relative_mse
 from datagen.rendering.renderer import SceneRenderer
 from datagen.rendering.sample_budget import (
     FIRST_SAMPLES,
+    MIN_ADDED,
     TILE_PX,
     ErrorEstimate,
     PathSums,
@@ -194,11 +195,12 @@ def test_passes_triple_until_target_or_ceiling() -> None:
             error = 10 * budget.max_rel_mse if 2 * counts.mean() < met_at else 0.9 * budget.max_rel_mse
             counts = counts + (added := budget.next_counts(counts, estimate_of(error, 0.1)))
 
-    assert list(totals(SampleBudget(0.01, 1000), met_at=70)) == [8, 24, 72]
-    assert list(totals(SampleBudget(0.01, 41), met_at=70)) == [8, 24, 40]
-    assert list(totals(SampleBudget(0.01, 6), met_at=30)) == [6]
+    assert list(totals(SampleBudget(0.01, 1000), met_at=70)) == [4, 12, 36, 108]
+    assert list(totals(SampleBudget(0.01, 45), met_at=70)) == [4, 12, 36, 44]
+    assert list(totals(SampleBudget(0.01, 12), met_at=30)) == [4, 12]
+    assert list(totals(SampleBudget(0.01, 11), met_at=30)) == [10]
     assert list(totals(SampleBudget(0.01, 2), met_at=30)) == [2]
-    assert list(totals(SampleBudget(0.01, 1000), met_at=1)) == [8]
+    assert list(totals(SampleBudget(0.01, 1000), met_at=1)) == [4]
 
 
 def test_samples_are_spent_where_the_halves_differ() -> None:
@@ -219,6 +221,13 @@ def test_a_near_target_needs_few_samples() -> None:
     counts = np.full(SIZE, 64, np.int64)
     near, far = (SampleBudget(0.01, 4096).next_counts(counts, estimate_of(e, 0.1)) for e in (0.011, 0.1))
     assert near.mean() == 16 and far.mean() == 128
+
+
+def test_passes_are_no_shorter_than_an_error_estimate() -> None:
+    """A quarter of two samples would suffice, but takes less time than the estimate that follows."""
+    errors = np.random.default_rng(1).exponential(1.0, SIZE)
+    added = SampleBudget(0.01, 4096).next_counts(np.full(SIZE, 2, np.int64), estimate_of(0.0101, errors))
+    assert MIN_ADDED / 2 < added.mean() <= MIN_ADDED
 
 
 # ---------------------------------------------------------------------- different counts in one image
