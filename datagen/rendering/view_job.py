@@ -147,10 +147,7 @@ class ViewJob:
             quick = self.quick_denoiser
             is_quick = quick is not None and self.halves[0].mean_samples <= QUICK_SAMPLES / 2
             denoiser = quick if is_quick else self.denoiser
-            clean_a, clean_b = (self.denoise(half, denoiser) for half in (a, b))
-            if denoiser is not None:
-                share = noisy_share((a, b), 0.5 * (clean_a + clean_b), self.visible_emission)
-                clean_a, clean_b = blended(clean_a, a, share), blended(clean_b, b, share)
+            clean_a, clean_b = self._cleaned([a, b], denoiser)
             removed = (self.halves[0].removed_mean(), self.halves[1].removed_mean())
             self.estimate = estimate_error((a, b), (clean_a, clean_b), self.visible_emission, removed)
             middle = 0.5 * (clean_a + clean_b)
@@ -175,10 +172,7 @@ class ViewJob:
         if self._reflected is not None:
             denoiser, reflected = self.quick_denoiser, self._reflected
         else:
-            reflected = self.denoise(noisy, denoiser)
-            if self.budget is not None and denoiser is not None:
-                halves = (self.halves[0].mean(), self.halves[1].mean())
-                reflected = blended(reflected, noisy, noisy_share(halves, reflected, self.visible_emission))
+            (reflected,) = self._cleaned([noisy], denoiser)
         share = restored_share(luminance(reflected), np.broadcast_to(sums.removed_mean(), noisy.shape[:2]))
         reflected = (reflected * (1.0 + share[..., None])).astype(np.float32)
         beauty = reflected + self.visible_emission
@@ -208,6 +202,17 @@ class ViewJob:
         )
         self.seconds["denoise"] = time.perf_counter() - start
         return RenderedView(self.index, ordered, instances, materials, record, self.seconds)
+
+    def _cleaned(
+        self, images: list[NDArray[np.float32]], denoiser: Denoiser | None
+    ) -> list[NDArray[np.float32]]:
+        """Denoise ``images`` (H, W, 3); with a budget, keep pixels where the noisy image is more accurate."""
+        clean = [self.denoise(image, denoiser) for image in images]
+        if self.budget is None or denoiser is None:
+            return clean
+        halves = (self.halves[0].mean(), self.halves[1].mean())
+        share = noisy_share(halves, np.mean(clean, axis=0), self.visible_emission)
+        return [blended(denoised, image, share) for denoised, image in zip(clean, images, strict=True)]
 
     def denoise(self, noisy: NDArray[np.float32], denoiser: Denoiser | None) -> NDArray[np.float32]:
         """Denoise reflected light ``noisy`` (H, W, 3); return it unchanged if ``denoiser`` is None."""
