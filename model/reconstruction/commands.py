@@ -59,8 +59,14 @@ def infer(
 
     Example: materials infer photos --mesh room.glb --out room
     """
-    if truth and checkpoint:
-        raise typer.BadParameter("--truth needs no checkpoint", param_hint="--checkpoint")
+    unused = {
+        "--checkpoint": checkpoint is not None,
+        "--materials": options.materials != "both",
+        "--no-filter": not options.is_filtered,
+        "--no-level": not options.is_leveled,
+    }
+    for name in [name for name, is_given in unused.items() if truth and is_given]:
+        raise typer.BadParameter("has no effect with --truth", param_hint=name)
     listeners = load_listeners(listener or ())
     opened = _opened(capture, reading)  # before torch is imported, so that errors appear at once
 

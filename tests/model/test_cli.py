@@ -104,7 +104,10 @@ def test_options_without_meaning_for_a_capture_are_refused(tmp_path, capture, op
     assert found == {word for word in options.split() if word.startswith("--")}
 
 
-def test_ground_truth_and_a_checkpoint_are_contradictory(tmp_path):
-    command = ["infer", str(tmp_path / "a.tar"), "--out", str(tmp_path), "--truth", "--checkpoint", "a"]
+@pytest.mark.parametrize("option", ["--checkpoint a", "--materials light", "--no-filter", "--no-level"])
+def test_options_without_meaning_for_ground_truth_are_refused(tmp_path, option):
+    """Regression: all but the checkpoint were ignored."""
+    command = ["infer", str(tmp_path / "a.tar"), "--out", str(tmp_path), "--truth", *option.split()]
     result = CliRunner().invoke(app, command)
-    assert result.exit_code == 2 and "--truth needs no checkpoint" in result.output
+    assert result.exit_code == 2 and "has no effect with --truth" in result.output
+    assert option.split()[0] in result.output
