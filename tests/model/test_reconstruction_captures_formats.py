@@ -7,6 +7,7 @@ Each oracle follows the software's formulas in float64, independent of the reade
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -481,3 +482,14 @@ def test_meshes(tmp_path: Path, suffix: str, has_uv: bool) -> None:
     if has_uv:
         assert read.uv is not None and mesh.uv is not None
         np.testing.assert_allclose(read.uv[read.faces], mesh.uv[mesh.faces], atol=1e-6)
+
+
+@pytest.mark.parametrize("unit_m", [0.0, -1.0, 1e-300, 1e300, math.inf, math.nan])
+def test_impossible_units_are_refused(tmp_path: Path, unit_m: float) -> None:
+    write_images(tmp_path, ["a.png"])
+    write_mesh(tmp_path)
+    frames = [{"file_path": "a.png", "transform_matrix": np.eye(4).tolist(), "fl_x": 500.0}]
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
+    with pytest.raises(InputError, match="metres per unit"):
+        read_capture(tmp_path, CaptureOptions(up="z", unit_m=unit_m))
+    assert read_capture(tmp_path, CaptureOptions(up="z", unit_m=1e-3)).views

@@ -62,6 +62,8 @@ from model.reconstruction.captures.rendered import library_of, read_shard
 
 Finder = Callable[[Path], Path | None]
 Reader = Callable[[Path, Path | None, Budget], Calibration]
+MIN_UNIT_M, MAX_UNIT_M = 1e-6, 1e6
+"""Bounds of the unit [m]; beyond them, single-precision geometry overflows or vanishes."""
 FORMATS: dict[str, tuple[Finder, Reader]] = {
     "OpenMVG": (openmvg.find, openmvg.read),
     "transforms.json": (transforms_json.find, transforms_json.read),
@@ -194,8 +196,9 @@ def _calibrated(
         size = np.ptp(loaded.positions, axis=0) if len(loaded.positions) else np.zeros(3)
         unit_m, note = estimated_unit(float(np.linalg.norm(size)))
         notes.append(note)
-    elif not (np.isfinite(unit_m) and unit_m > 0):
-        raise input_error("--unit", "", unit_m, "metres per unit, above 0", "correct it")
+    elif not MIN_UNIT_M <= unit_m <= MAX_UNIT_M:
+        expected = f"metres per unit, in [{MIN_UNIT_M:g}, {MAX_UNIT_M:g}]"
+        raise input_error("--unit", "", unit_m, expected, "correct it")
     names: set[str] = set()
     photographs, problems = [], []
     missing: list[str] = []
