@@ -40,6 +40,8 @@ FIRST_SAMPLES = 4
 """Samples per pixel of the first pass, both halves together; later passes depend on the estimated error."""
 BIAS_PER_SPREAD = 1.0
 """Prior of the squared bias of a denoised half, divided by its spread (decision 70)."""
+QUICK_BIAS_PER_SPREAD = 1.5
+"""The same for OIDN ``balanced``, whose bias is larger."""
 TILE_PX = 4
 """Side of the tiles that get the same number of samples; small, because edges and highlights are narrow."""
 AROUND_PX = 3
@@ -126,12 +128,13 @@ def estimate_error(
     denoised: tuple[NDArray[np.float32], NDArray[np.float32]],
     visible_emission: NDArray[np.float32],
     removed: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+    bias_per_spread: float = BIAS_PER_SPREAD,
 ) -> ErrorEstimate:
     """Estimate the error of the mean of both halves. Arrays are (H, W, 3), except ``removed`` (H, W).
 
     ``visible_emission``, free of noise, is added to the image and affects only its brightness. ``denoised``
     are the denoised halves or, without a denoiser, the halves themselves. ``removed`` is the luminance that a
-    clamp removed from each half.
+    clamp removed from each half. ``bias_per_spread`` is the prior of the denoiser's bias.
     """
     a, b = (half.astype(np.float64) for half in halves)
     clean_a, clean_b = (image.astype(np.float64) for image in denoised)
@@ -148,19 +151,18 @@ def estimate_error(
     measured = float((weight * squared_error).sum(axis=-1).mean()) - spread
     noise = (weight * (a - middle) * (b - middle)).sum(axis=-1)
     bias_error = math.sqrt(float((noise**2).sum())) / noise.size
-    bias, standard_error = _squared_bias(spread, measured, bias_error)
+    bias, standard_error = _squared_bias(bias_per_spread * spread, measured, bias_error)
     error = 0.5 * spread + bias + clamped
     return ErrorEstimate(error, standard_error, spread, measured, bias_error, spread_map)
 
 
-def _squared_bias(spread: float, measured: float, bias_error: float) -> tuple[float, float]:
+def _squared_bias(expected: float, measured: float, bias_error: float) -> tuple[float, float]:
     """Estimate the squared bias of a denoised half, and the standard error of the estimate.
 
-    The prior is ``BIAS_PER_SPREAD`` times the spread, with an equal standard deviation, or a larger one if
-    the measurement exceeds it by more than ``bias_error`` explains. Prior and measurement are averaged with
-    weights 1 / variance, and negative means are clamped to 0.
+    The prior ``expected`` has an equal standard deviation, or a larger one if the measurement exceeds it by
+    more than ``bias_error`` explains. Prior and measurement are averaged with weights 1 / variance, and
+    negative means are clamped to 0.
     """
-    expected = BIAS_PER_SPREAD * spread
     variance = bias_error**2
     prior_variance = expected**2
     if measured > expected:

@@ -28,7 +28,14 @@ from datagen.rendering.clamped_light import restored_share
 from datagen.rendering.denoiser import Denoiser, auxiliary_albedo
 from datagen.rendering.noisy_share import blended, noisy_share
 from datagen.rendering.prepared_scene import COARSE_CELLS, PreparedScene
-from datagen.rendering.sample_budget import ErrorEstimate, PathSums, SampleBudget, estimate_error
+from datagen.rendering.sample_budget import (
+    BIAS_PER_SPREAD,
+    QUICK_BIAS_PER_SPREAD,
+    ErrorEstimate,
+    PathSums,
+    SampleBudget,
+    estimate_error,
+)
 from datagen.rendering.schedule import Steps
 
 HALF_MAX = 65504.0
@@ -149,7 +156,8 @@ class ViewJob:
             denoiser = quick if is_quick else self.denoiser
             clean_a, clean_b = self._cleaned([a, b], denoiser)
             removed = (self.halves[0].removed_mean(), self.halves[1].removed_mean())
-            self.estimate = estimate_error((a, b), (clean_a, clean_b), self.visible_emission, removed)
+            prior = QUICK_BIAS_PER_SPREAD if is_quick else BIAS_PER_SPREAD
+            self.estimate = estimate_error((a, b), (clean_a, clean_b), self.visible_emission, removed, prior)
             middle = 0.5 * (clean_a + clean_b)
             if self._stop_criterion is not None:
                 image = middle + self.visible_emission

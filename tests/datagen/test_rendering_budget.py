@@ -130,6 +130,15 @@ def test_estimate_includes_spread_and_bias_of_a_denoiser(width: int, sigma: floa
     assert estimated == pytest.approx(true, rel=0.1)
 
 
+@pytest.mark.parametrize(("width", "sigma", "is_used"), [(25, 3.0, True), (15, 0.1, False)])
+def test_prior_of_the_bias_replaces_uncertain_measurements(width: int, sigma: float, is_used: bool) -> None:
+    a, b = noisy_pair(np.random.default_rng(3), sigma)
+    clean, black = (blur(a, width), blur(b, width)), np.zeros_like(a)
+    low, high = (estimate_error((a, b), clean, black, bias_per_spread=prior) for prior in (0.5, 1.0))
+    added = high.rel_mse - low.rel_mse
+    assert (added > 0.2 * low.spread) if is_used else abs(added) < 0.01 * low.rel_mse
+
+
 def test_dependent_halves_bias_the_estimate() -> None:
     """Injected fault: noise common to both halves is mistaken for bias of the denoiser."""
     estimated, true = estimated_and_true(3, 0.3, shared=0.5).mean(axis=0)
