@@ -431,6 +431,6 @@ def test_opening_reads_only_descriptions(tmp_path: Path) -> None:
     parts = tuple(Part(name=f"p{k}", mesh="meshes/cube.ply", material="body") for k in range(800))
     write_package(tmp_path / "cube", cube_asset(parts=parts), cube_files())
     (tmp_path / "cube" / "meshes" / "cube.ply").write_bytes(b"ply not really")
-    start = time.perf_counter()
+    start = time.process_time()  # elapsed time would depend on the machine's load
     open_package(tmp_path / "cube")
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0
