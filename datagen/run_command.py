@@ -93,7 +93,7 @@ def plan(
     workers: WorkersOption = 1,
     dry_run: DryRunOption = False,
 ) -> None:
-    """Assemble a recipe's configurations into a dataset folder, without rendering.
+    """Plan a recipe's configurations in a dataset folder. Nothing is rendered.
 
     Example: datagen plan smoke --out smoke
     """
@@ -111,7 +111,7 @@ def run(
     workers: WorkersOption = 1,
     dry_run: DryRunOption = False,
 ) -> None:
-    """Plan, render, compute statistics, pack and index; the same command continues an interrupted run.
+    """Plan, render, compute statistics, pack and index. The same command continues an interrupted run.
 
     Job scripts use --unit; --unit with --attempts 0 reproduces a failure. Exit codes: 0 done, 75 interrupted
     (run it again), 1 failed.
@@ -306,7 +306,9 @@ def estimate(
     out: Annotated[Path, typer.Option(help="Folder of the dataset, for its free disk space.")] = Path(),
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Predict time, disk and memory of a recipe from timed samples; exit code 1 if the disk is too small.
+    """Predict time, disk and memory of a recipe from timed samples.
+
+    The exit code is 1 if the disk is too small.
 
     Example: datagen estimate paper --workers 2
     """

@@ -56,7 +56,7 @@ def farm_status(
     folder: FolderArgument,
     cost: Annotated[float, typer.Option(min=0, help="Price of one unit's resources per hour.")] = 0.0,
 ) -> None:
-    """Show rate, time left, cost, failure logs, and the number of units by state.
+    """Show units by state, rate, time left, cost and failure logs.
 
     Example: datagen farm status paper --cost 0.12
     """
@@ -67,7 +67,7 @@ def farm_status(
 
 @farm.command()
 def retry(folder: FolderArgument) -> None:
-    """Clear recorded failures, so the next submit or run includes these units again.
+    """Clear recorded failures. The next submit or run includes these units again.
 
     Example: datagen farm retry paper && datagen farm submit paper
     """

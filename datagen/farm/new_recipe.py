@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command ``datagen recipe new``, which writes a recipe from four answers, and its schema for editors."""
+"""The command ``datagen recipe new``, which writes a recipe from four answers, and the recipe schema."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.naming import slug
 
 recipe = typer.Typer(
-    name="recipe", help="Recipes: descriptions of datasets.", no_args_is_help=True, rich_markup_mode=None
+    name="recipe", help="Write recipes of datasets.", no_args_is_help=True, rich_markup_mode=None
 )
 SCHEMA_FILE = "recipe.schema.json"
 
 
 @recipe.callback()
 def _recipe() -> None:
-    """The group ``recipe``: descriptions of datasets."""
+    """Write recipes of datasets."""
 
 
 def _question(prompt: str, text: str, least: int | None = None) -> Any:
@@ -42,7 +42,7 @@ def new(
     ] = "draft",
     seed: Annotated[int, typer.Option(min=0, help="Seed of all random choices.")] = 0,
 ) -> None:
-    """Ask four questions and write a recipe; options answer them in advance.
+    """Ask four questions and write a recipe. Options answer them in advance.
 
     Example: datagen recipe new rooms.yaml --configurations 4 --views 8 --resolution 320x192 --quality draft
     """

@@ -108,7 +108,7 @@ def import_command(
         bool, typer.Option("--split", help="Make an object of each separate group in a glTF file.")
     ] = False,
 ) -> None:
-    """Convert files of other programs to asset packages, and list the approximations.
+    """Convert files of other programs to asset packages. Approximations are listed.
 
     Example: datagen import staircase/scene.xml --library my-library --dielectric replace
     """

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def doctor() -> None:
-    """List installed components and their faults; the exit code is 0 if rendering is possible.
+    """List installed components and their faults. The exit code is 0 if rendering is possible.
 
     Example: datagen doctor
     """
@@ -40,7 +40,7 @@ def library(
     check: Annotated[bool, typer.Option("--check", help="Check every asset, mesh and texture.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
-    """List the assets of libraries with class, size and licence; --check finds their faults.
+    """List the assets of libraries with class, size and licence. --check finds their faults.
 
     Example: datagen library bundled my-library --check
     """
@@ -107,7 +107,7 @@ def verify(
         int, typer.Option(min=4, help="Paths per pixel of each view, a multiple of 4.")
     ] = 256,
 ) -> None:
-    """Check the content of a dataset for faults; the exit code is 1 if there are any.
+    """Check the content of a dataset for faults. The exit code is 1 if there are any.
 
     Example: datagen verify smoke --workers 2 --recheck 3
     """
@@ -133,7 +133,7 @@ class ReportOptions:
         typer.Option(help="Folder of predicted maps to compare with the ground truth, repeatable."),
     ] = ()
     label: Annotated[
-        tuple[str, ...], typer.Option(help="Name for the predictions, repeatable, in their order.")
+        tuple[str, ...], typer.Option(help="Name for a folder of --predictions, repeatable, in their order.")
     ] = ()
     workers: int = 1
 
@@ -171,7 +171,7 @@ def report(
     library: LibraryOption = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned output and stop.")] = False,
 ) -> None:
-    """Write a page with figures of a dataset and a viewer of its pixels; it opens from disk in any browser.
+    """Write a page with figures and a pixel viewer of a dataset. It opens from disk in any browser.
 
     Example: datagen report smoke --workers 2
     """

@@ -30,9 +30,9 @@ def evaluate(
     ] = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Evaluate reconstructions on test scenes: tables of maps, re-renderings and time; a page of pictures.
+    """Evaluate reconstructions on test scenes.
 
-    After Ctrl-C, the same command resumes.
+    Writes tables of errors and times, and a page of pictures. After Ctrl-C, the same command resumes.
 
     Example: materials evaluate small --out evaluation
     """

@@ -50,7 +50,7 @@ def infer(
     options: InferOptions,
     checkpoint: CheckpointOption = None,
     truth: Annotated[
-        bool, typer.Option("--truth", help="Merge a rendered capture's ground truth; no checkpoint.")
+        bool, typer.Option("--truth", help="Merge a rendered capture's ground truth, not predictions.")
     ] = False,
     listener: ListenerOption = None,
     quiet: QuietOption = False,
@@ -121,7 +121,9 @@ def photos(
     checkpoint: CheckpointOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Turn a folder of photographs into an asset: COLMAP's cameras and mesh, materials, a turntable.
+    """Turn a folder of photographs into an asset.
+
+    Cameras and mesh are COLMAP's; a turntable of the asset is rendered.
 
     After an interruption, the same command continues. Example: materials photos kitchen --out kitchen-asset
     """
@@ -152,7 +154,7 @@ def check(
     out: Annotated[Path | None, typer.Option(help="Folder for check.json and the contact sheets.")] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Check whether a mesh fits the photographs; the exit code is 1 if there are warnings.
+    """Check whether a mesh fits the photographs. The exit code is 1 if there are warnings.
 
     Example: materials check photos --mesh room.glb --out check
     """

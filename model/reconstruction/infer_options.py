@@ -72,9 +72,9 @@ class InferOptions(AssetOptions):
         typer.Option(help="Visibility test of views: depth buffers or shadow rays."),
     ] = "depth"
     weights: Annotated[Weights, typer.Option(help="Weights of the views in the merge.")] = "resolution"
-    materials: Annotated[Materials, typer.Option(help="Source of materials: network, light, or both.")] = (
-        "both"
-    )
+    materials: Annotated[
+        Materials, typer.Option(help="Source of materials; light: recorded by the photographs.")
+    ] = "both"
     precision: Annotated[
         Literal["auto", "float32", "bfloat16"], typer.Option(help="Precision of the networks.")
     ] = "auto"
@@ -96,14 +96,14 @@ class InferOptions(AssetOptions):
     is_evened: bool = True
     mends_poses: Annotated[
         bool,
-        typer.Option("--mend-poses", help="Correct poses that are off by millimetres; report by how much."),
+        typer.Option("--mend-poses", help="Correct pose errors of millimetres, and report them."),
     ] = False
     mends_mesh: Annotated[
         bool, typer.Option("--mend-mesh/--no-mend-mesh", help="Smooth a noisy mesh, and fill its holes.")
     ] = True
-    keeps_uvs: Annotated[
-        bool, typer.Option("--keep-uvs", help="Keep valid UVs of the mesh, however few pixels show a chart.")
-    ] = False
+    keeps_uvs: Annotated[bool, typer.Option("--keep-uvs", help="Keep valid UVs of the mesh unscaled.")] = (
+        False
+    )
 
 
 @dataclass

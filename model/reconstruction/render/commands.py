@@ -79,10 +79,10 @@ def render(
     ] = (),
     quiet: QuietOption = False,
 ) -> None:
-    """Render an asset from its cameras or as an animation, optionally under other light or with inserted
-    objects.
+    """Render an asset from its cameras or as an animation.
 
-    An animation follows a path through the room and loops seamlessly.
+    Options replace its lights and insert objects. An animation follows a path through the room and loops
+    seamlessly.
 
     Example: materials render room/asset --out renders --sky 1,1,1 --insert bundled:mug@1,2,0.8
     """
@@ -117,7 +117,7 @@ def view(
     ] = 4096,
     quiet: QuietOption = False,
 ) -> None:
-    """Write a web page that shows an asset in 3D, with a movable light, and opens from disk in any browser.
+    """Write a web page that shows an asset in 3D, with a movable light. It opens from disk in any browser.
 
     Example: materials view room --out room-page
     """
