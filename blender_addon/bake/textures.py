@@ -228,8 +228,8 @@ class MaterialBaker:
             error = _last_change(pixels, mask, counted)
             self.problems.add(
                 APPROXIMATION,
-                f"{name} is cut at {size} px: its last doubling still changed it by {error:.4f} on average",
-                "raise the largest texture size, or accept it",
+                f"{name} is limited to {size} px; at half this size it differs by {error:.4f} on average",
+                "raise the maximum texture size, or accept the error",
                 material=material,
             )
             return BakedTexture(level.image, error)

@@ -113,7 +113,7 @@ def provenance(block: bpy.types.ID, fallback: dict[str, str], problems: ProblemL
             result[key] = value
     if "license" not in result:
         remedy = "set sm_license (an SPDX identifier such as CC0-1.0) or the export's licence"
-        problems.add(ERROR, f"{block.name!r} names no licence", remedy)
+        problems.add(ERROR, f"{block.name!r} has no licence", remedy)
     if result.get("usage", "any") not in USAGES:
         problems.add(ERROR, f"sm_usage = {result['usage']!r}", f"use one of {', '.join(USAGES)}")
     return result

@@ -61,7 +61,7 @@ def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> Gen
         room = generated_room(recipe, configuration.index, attempt)
         if room is None or room.package.id == configuration.environment.asset:
             return room
-    raise ValueError(f"{configuration.id} is no configuration of recipe {recipe.name}")
+    raise ValueError(f"{configuration.id} is not a configuration of recipe {recipe.name}")
 
 
 def example_rooms(recipe: Recipe) -> Iterator[EnvironmentAsset]:

@@ -223,7 +223,7 @@ class DatasetFolder:
         if existing.recipe_sha256 != record.recipe_sha256:
             earlier = self.read_recipe().model_dump(mode="json")
             problems += [
-                Problem(self.root, f"recipe: {field}", now, f"{then} as at its start", remedy)
+                Problem(self.root, f"recipe: {field}", now, f"{then}, as at its start", remedy)
                 for field, then, now in differences(earlier, recipe.model_dump(mode="json"))
             ]
         if existing.library_sha256 != record.library_sha256:
@@ -232,7 +232,7 @@ class DatasetFolder:
         for name in sorted({*existing.versions, *record.versions}):
             then_, now_ = existing.versions.get(name, "none"), record.versions.get(name, "none")
             if then_ != now_:
-                problems.add(f"version of {name}", now_, f"{then_} as at its start", remedy)
+                problems.add(f"version of {name}", now_, f"{then_}, as at its start", remedy)
         raise_problems(problems)
 
 

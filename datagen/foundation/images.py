@@ -44,7 +44,7 @@ def read_radiance(path: Path) -> NDArray[np.float32]:
     values.
     """
     if path.suffix.lower() != ".exr":
-        raise input_error(path, got="no EXR file", expected="a linear EXR image", remedy="convert it")
+        raise input_error(path, got="not an EXR file", expected="a linear EXR image", remedy="convert it")
     pixels = read_image(path)
     if not np.isfinite(pixels).all() or (pixels < 0).any():
         raise input_error(path, got="NaN, Inf or negative values", expected="radiance", remedy="repair it")

@@ -45,7 +45,7 @@ def import_by_blender(
             "pip install 'scene-materials[blender]' (Python 3.11), or export glTF (.glb) from the program "
             "that made it"
         )
-        raise input_error(path, "", "a file that Blender reads", "Blender's module bpy", remedy)
+        raise input_error(path, "", "no module bpy", "Blender's module, which reads this format", remedy)
     findings = Findings()
     with tempfile.TemporaryDirectory() as folder:
         converted = Path(folder) / f"{path.stem}.glb"

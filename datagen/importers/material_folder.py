@@ -161,7 +161,9 @@ class _MaterialImporter(ImportJob):
             slopes = None if height is None else self.cache.pixels(height)
             is_up = pixels.dtype.kind != "u" or green_points_up(pixels, slopes)
             made = "OpenGL" if is_up else "DirectX"
-            self.findings.note(f"{path.name}: orientation not in its name; its pixels indicate {made}")
+            self.findings.note(
+                f"{path.name}: orientation taken from the pixels ({made}), since the name has none"
+            )
         if is_up:
             return Texture(texture=self.textures.add_file(path), encoding="linear")
         flipped = np.array(self.cache.pixels(path)[..., :3])

@@ -218,8 +218,8 @@ class _PieceImport(ImportJob):
                 absent.append(f"{library} (no such file)")
         absent += sorted({f"material {s.material!r}" for s in model.surfaces if s.material not in found})
         if absent and self.options.missing == "refuse":
-            got = ", ".join(absent)
-            raise input_error(self.where, "materials", got, "in an MTL file", RESTORE_IT)
+            got = f"missing {', '.join(absent)}"
+            raise input_error(self.where, "materials", got, "all in MTL files", RESTORE_IT)
         for name in absent:
             self.findings.approximate(f"{name}: missing, replaced by grey")
         return found

@@ -66,7 +66,7 @@ def _run_sample(recipe: Recipe, library: Library, num_views: int, root: Path) ->
         raise KeyboardInterrupt
     if summary.failures:
         reason = summary.failures[0].reason
-        raise input_error("estimate", "sample", reason, "a unit without errors", "read the message")
+        raise input_error("estimate", "sample", reason, "a unit without errors", "correct the error")
     manifest = DatasetFolder(root).read_manifest(plan.units[0])
     assert manifest is not None
     return _Sample(num_views, plan_s, manifest)

@@ -56,7 +56,7 @@ def check_same_run(path: Path, record: RunRecord) -> None:
     remedy = "resume with the inputs of its start, or choose another --out"
     raise InputError(
         *(
-            Problem(path, field, now, f"{then} as at its start", remedy)
+            Problem(path, field, now, f"{then}, as at its start", remedy)
             for field, then, now in differences(
                 earlier.model_dump(mode="json"), record.model_dump(mode="json")
             )

@@ -350,7 +350,7 @@ def test_zero_area_light_is_refused(tmp_path: Path) -> None:
 def test_environment_light_of_8_bits_is_refused(tmp_path: Path) -> None:
     light = EnvironmentLight(name="sky", image="textures/c.png")
     package = write_package(tmp_path / "cube", cube_asset(lights=(light,)), cube_files())
-    assert "lights[0] (sky).image = 'textures/c.png': no EXR file" in faults(package)
+    assert "lights[0] (sky).image = 'textures/c.png': not an EXR file" in faults(package)
     with Library([tmp_path]) as library, pytest.raises(InputError, match="expected a linear EXR image"):
         environment_radiance(light.model_copy(update={"asset": "cube"}), library)
 

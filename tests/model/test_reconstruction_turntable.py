@@ -153,7 +153,7 @@ def test_a_closed_room_under_a_sky_keeps_its_lights(asset: Path, tmp_path: Path)
     sky = RelightOptions(samples=4, views=("view_00",), sky=(1.0, 1.0, 1.0))
     write_renders(asset, tmp_path / "sky", sky, warnings.append)
     (warning,) = warnings
-    assert warning == "no light of the sky reaches view_00: the room is closed; its own lights are used"
+    assert warning == "no light from the sky reaches view_00: the room is closed; its own lights are used"
     write_renders(asset, tmp_path / "own", replace(sky, sky=None), warnings.append)
     write_renders(asset, tmp_path / "lamp", replace(sky, lamps=(Lamp((2.0, 1.5, 2.0)),)), warnings.append)
     assert len(warnings) == 1
@@ -174,7 +174,7 @@ def test_a_grey_sky_is_one_and_a_faulty_one_is_named(asset: Path, tmp_path: Path
                 write_renders(asset, tmp_path / "renders", options)
         else:
             write_renders(asset, tmp_path / "renders", options, warnings.append)
-    assert len(warnings) == 1 and "no light of the sky" in warnings[0]
+    assert len(warnings) == 1 and "no light from the sky" in warnings[0]
 
 
 @pytest.mark.parametrize("sky", [None, (1.0, 1.0, 1.0)])
@@ -264,7 +264,7 @@ def test_command_and_wrong_input(asset: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, [*words, "--lamp", "2,1.5,2", "--way", "cameras", "--quiet"])
     assert done.exit_code == 0 and out.is_file(), done.output
     dark = CliRunner().invoke(app, [*words, "--sky", "1,1,1", "--quiet"])
-    assert dark.exit_code == 0 and "no light of the sky reaches frame-000" in dark.output
+    assert dark.exit_code == 0 and "no light from the sky reaches frame-000" in dark.output
     for extra, text in ((["--lamp", "1,2"], "expected 3 or 4 or 6 finite"), (["--way", "up"], "not one of"),
                         (["--lamp", "1,2,3,0"], "above 0"),
                         (["--lamp", "1,2,3,1,-1,1"], "above 0")):  # fmt: skip

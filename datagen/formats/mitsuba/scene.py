@@ -146,7 +146,7 @@ class _Parser:
             raise input_error(path, got="not UTF-8", expected="a Mitsuba scene (XML in UTF-8)") from None
         root = parse_xml(text, path, self.budget, "correct the file")
         if root.tag != "scene":
-            raise input_error(path, "root element", f"<{root.tag}>", "<scene>", "this is no Mitsuba scene")
+            raise input_error(path, "root element", f"<{root.tag}>", "<scene>", "check the path")
         self.loaded[path] = root
         return root
 

@@ -398,7 +398,7 @@ class GltfFile:
 
 def _indices(value: object) -> list[Any]:
     if not isinstance(value, list):
-        raise TypeError(f"{value!r:.80} is no list of nodes")
+        raise TypeError(f"{value!r:.80} is not a list of nodes")
     return value
 
 

@@ -212,7 +212,7 @@ def lit_images(
     if _is_unlit(first.color, options):
         options = replace(options, sky=None) if has_lights else _with_own_lamp(options, asset)
         instead = "its own lights are used" if has_lights else _OWN_LAMP
-        warn(f"no light of the sky reaches {first.name}: the room is closed; {instead}")
+        warn(f"no light from the sky reaches {first.name}: the room is closed; {instead}")
         images = render_asset(path, options)
         first = next(images)
     yield first
