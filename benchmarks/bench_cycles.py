@@ -106,7 +106,7 @@ def read_cycles(path: Path) -> NDArray[np.float32]:
 
 
 class Comparison:
-    """The steps of the comparison, in order; each stores its result in ``folder``."""
+    """The steps of the comparison with Cycles, in order; each stores its result in ``folder``."""
 
     def __init__(self, arguments: argparse.Namespace):
         self.arguments = arguments

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Time measurement of the benchmarks: warm-up, interleaved repeats, medians and quartiles; their reports."""
+"""Times the benchmarks (warm-up, interleaved repeats, medians, quartiles) and writes their reports."""
 
 from __future__ import annotations
 

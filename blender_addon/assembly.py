@@ -251,7 +251,7 @@ class _Assembly:
         return 1.0 / density if density else 1.0
 
     def _thing(self, instance: Instance) -> bpy.types.Object:
-        """The object that is baked for an instance: one per mesh, with the instance's transform."""
+        """The object to bake, shared by all instances of a mesh, moved to the instance's transform."""
         if instance.mesh_key not in self._things:
             self._things[instance.mesh_key] = self.job.session.object_of(
                 self.contents.copies[instance.mesh_key]

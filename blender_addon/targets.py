@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Finds the assets of a file by its tags."""
+"""Finds the assets to export: materials, objects and collections with tags."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from .settings import ExportSettings
 
 @dataclass(frozen=True)
 class Target:
-    """An asset to export. ``tagged``: the data-block with its tags; ``owners``: names of its objects."""
+    """An asset to export.
+
+    ``tagged``: the data-block with its tags; ``owners``: names of its objects, which own its instances.
+    """
 
     kind: str
     id: str
@@ -63,7 +66,7 @@ def find_targets(scene: bpy.types.Scene, settings: ExportSettings, problems: Pro
         if target.id in seen:
             problems.add(
                 ERROR,
-                f"{target.tagged.name!r} and {seen[target.id].tagged.name!r} would both become {target.id!r}",
+                f"{target.tagged.name!r} and {seen[target.id].tagged.name!r} both have the id {target.id!r}",
                 "give one of them another sm_id",
             )
         seen[target.id] = target

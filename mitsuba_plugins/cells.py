@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Conversion of positions in a table to cell indices in Dr.Jit kernels."""
+"""Conversion of positions, in units of cells, to cell indices in Dr.Jit kernels."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def cell_of(position: Any, count: int) -> Any:
-    """Index (UInt32), clamped to [0, ``count``), of the cell at ``position``, a Dr.Jit float in cells.
+    """Index (UInt32), clamped to [0, ``count``), of the cell that contains ``position`` (in units of cells).
 
     NaN maps to a valid index too. ``dr.clip`` would keep NaN, whose conversion to an unsigned integer depends
     on the processor (2^32 - 1 with AVX-512, 2^31 with AVX2) and crashes the process in a gather.

@@ -116,7 +116,7 @@ def _stored(value: Tensor, dtype: torch.dtype) -> Tensor:
 
 
 def read_card(path: Path) -> CheckpointCard:
-    """Read the card in a checkpoint's header. Raises :class:`InputError` if the file is no checkpoint."""
+    """Read the card in a checkpoint's header. Raises :class:`InputError` if the file is not a checkpoint."""
     return _open(path)[0]
 
 

@@ -116,7 +116,7 @@ def try_network(network: OwnNetwork) -> None:
 def _class_of(config: NetworkConfig) -> tuple[type[nn.Module], tuple[str, ...]]:
     """Import the class that ``factory`` names, and return it with the names of its inputs.
 
-    Raises :class:`InputError` if it is no ``torch.nn.Module`` or its ``inputs`` are invalid.
+    Raises :class:`InputError` if it is not a ``torch.nn.Module`` or its ``inputs`` are invalid.
     """
     name = config.factory or ""
     expected = "MODULE:CLASS of a torch.nn.Module with `inputs`"

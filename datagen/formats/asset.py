@@ -227,7 +227,7 @@ class MaterialAsset(_AssetBase):
 
 
 class GeometryAsset(_AssetBase):
-    """What objects and environments have in common: meshes with materials, and lights."""
+    """Base of objects and environments: meshes with materials, and lights."""
 
     materials: dict[str, SlotMaterial]
     parts: Annotated[tuple[Part, ...], Field(min_length=1)]
@@ -248,10 +248,10 @@ class GeometryAsset(_AssetBase):
 class ObjectAsset(GeometryAsset):
     """An object that can be placed in a room.
 
-    ``minimum_m`` and ``maximum_m`` bound the meshes (z from 0); the footprint is the convex hull of their
-    x-y projection; the polygon ``footprint_m`` is ignored. Scale and yaw are drawn from their ranges.
-    ``supports``: kinds of surfaces on which it may stand; empty for hanging or built-in objects, which are
-    never placed.
+    ``minimum_m`` and ``maximum_m`` are the corners of the meshes' bounding box, with z from 0. The footprint
+    is the convex hull of the meshes' x-y projection (``footprint_m`` is ignored). Scale and yaw are drawn
+    from their ranges. ``supports``: kinds of surfaces on which it may stand; objects without any, such as
+    hanging and built-in ones, are never placed.
     """
 
     kind: Literal["object"] = "object"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Progress and records of imports in the terminal, and the summary table of furniture catalogues."""
+"""Terminal output of imports: progress bars, summaries of assets, and tables of furniture catalogues."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NAMED, _LINES = 3, 6
 class ImportWatch:
     """Context that shows a progress bar of the sources, on a terminal, and of each catalogue.
 
-    At the end or after an error, it prints the records of assets and a summary of the catalogues.
+    At the end or after an error, it prints summaries of the assets and of the catalogues.
     """
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ class ImportWatch:
             self._shown_bars().tell("import", done, total, path.name)
 
     def show(self, asset: ImportedAsset) -> None:
-        """Print the record of an asset to standard output, after the bars if there are any."""
+        """Print the summary of an asset to standard output, after the bars if there are any."""
         lines = summary_lines(asset)
         if self._bars is None:
             print("\n".join(lines))

@@ -79,7 +79,7 @@ class Rechecked:
 
 
 def check_recheck(folder: Path, samples: int) -> None:
-    """Raise :class:`InputError` if ``folder`` is a single shard, or if ``samples`` is no multiple of 4."""
+    """Raise :class:`InputError` if ``folder`` is a single shard, or if ``samples`` is not a multiple of 4."""
     if samples < PARTS or samples % PARTS:
         expected = f"a multiple of {PARTS}, the number of images that are compared"
         raise input_error("datagen verify", "--recheck-samples", samples, expected, "choose another number")

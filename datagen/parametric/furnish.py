@@ -223,7 +223,7 @@ def ceiling_light(
     for x, y in places:
         item = _ceiling_lamp(room.new_name("glow"), kind, drop, Draws("lamp", look))
         for dx, dy in ((0.0, 0.0), (0.3, 0.25), (-0.3, 0.25), (0.4, -0.4)):  # to avoid beams
-            if room.ceil(item, x + dx, y + dy) is not None:
+            if room.hang_from_ceiling(item, x + dx, y + dy) is not None:
                 made += 1
                 break
     if not made:

@@ -318,7 +318,7 @@ class Furnisher:
                 return wall if abs(float((foot - np.array(host.at[:2])) @ inward)) < 0.1 else None
         return None
 
-    def ceil(self, item: Item, x: float, y: float) -> Placed | None:
+    def hang_from_ceiling(self, item: Item, x: float, y: float) -> Placed | None:
         """Hang an item from the ceiling at (x, y)."""
         return self.offer(item, (x, y, self.shell.height), 0.0)
 

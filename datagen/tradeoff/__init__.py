@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Measures error and time of all settings that affect time; recommends the fastest within error limits."""
+"""Measures the error and time of render settings, and recommends the fastest within error limits."""

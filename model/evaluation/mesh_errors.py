@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Meshes that methods use: simulated errors, to measure how much a result depends on exact geometry, and UVs.
+"""Simulates errors of reconstructed meshes, to measure how much results depend on exact geometry.
 
 The order of parts is preserved. Lamps are unchanged, since errors of the lighting are not under test.
 """
@@ -38,8 +38,8 @@ _ARRAYS = ("positions", "faces", "normals", "uv")  # of meshes, in the order of 
 class GeometryError(StrictModel):
     """Errors of a mesh, in the order of their application.
 
-    Edges are split to at most ``edge_m`` metres (None: not split), vertices are moved along each axis by
-    Gaussian noise of standard deviation ``noise_m``, the number of triangles is reduced to the share
+    Edges are split until none exceeds ``edge_m`` metres (None: not split), vertices are moved along each axis
+    by Gaussian noise of standard deviation ``noise_m``, the number of triangles is reduced to the share
     ``keep_share``, and round holes of radius ``hole_radius_m`` remove the share ``hole_share`` of the area.
     """
 

@@ -99,7 +99,7 @@ class TestScene(StrictModel):
 class PlannedScene:
     """A test scene with known assets and cameras.
 
-    ``library`` are its asset folders, ``package`` is the room with its true materials and lights.
+    ``library``: folders of its assets; ``package``: the room with its true materials and lights;
     ``asset_sha256``: hashes of the packages, by id, and of their files, by ``<id>/<file>``, none of which may
     occur in a checkpoint's training data.
     """

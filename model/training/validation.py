@@ -128,7 +128,7 @@ def phase_metrics(
 
 
 def final_metrics(context: TrainingContext, views: Sequence[ViewPlace]) -> dict[str, float]:
-    """Errors on ``views``, by name, of all maps, and of filtered maps if the last phase is confidence."""
+    """Errors on ``views``, by name: of all maps and, if the last phase is confidence, of filtered maps."""
     if not views:
         return {}
     config, models = context.config, context.models

@@ -52,7 +52,10 @@ class ShardSource:
 
 
 def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:
-    """Open ``paths`` with the dataset's rooms, or the dataset's own or, without one, the bundled library."""
+    """Open the library of a shard: ``paths`` and the rooms of its dataset.
+
+    Without paths, it is the library recorded in the dataset or, if there is no record, the bundled one.
+    """
     folder = DatasetFolder(shard.parent.parent)
     if paths:
         return Library([*paths, *rooms_of(folder.root)])

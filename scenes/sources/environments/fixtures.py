@@ -21,17 +21,17 @@ from scenes.sources.shapes import (
 )
 
 
-def basin_shape(width: float, depth: float, deep: float) -> Shape:
-    """An open rectangular basin about the z axis with a rolled rim at z = 0 and its floor at z = -``deep``."""
+def basin_shape(width: float, length: float, depth: float) -> Shape:
+    """An open basin, ``width`` along x and ``length`` along y, with its rim at z = 0, its floor at -``depth``."""
     wall = 0.004
     rings = []
-    for scale, z, extra in ((1.0, -0.001, 0.014), (1.0, 0.0025, 0.012), (1.0, 0.0025, 0.0), (0.985, -0.012, 0.0), (0.9, -0.85 * deep, 0.0),
-                            (0.85, -0.97 * deep, 0.0), (0.55, -deep, 0.0), (0.1, -deep - 0.002, 0.0)):  # fmt: skip
-        corner = min(0.05 * max(scale, 0.5), 0.45 * depth * scale)
-        rings.append(rounded_ring(width * scale + 2 * extra, depth * scale + 2 * extra, corner, z))
+    for scale, z, extra in ((1.0, -0.001, 0.014), (1.0, 0.0025, 0.012), (1.0, 0.0025, 0.0), (0.985, -0.012, 0.0), (0.9, -0.85 * depth, 0.0),
+                            (0.85, -0.97 * depth, 0.0), (0.55, -depth, 0.0), (0.1, -depth - 0.002, 0.0)):  # fmt: skip
+        corner = min(0.05 * max(scale, 0.5), 0.45 * length * scale)
+        rings.append(rounded_ring(width * scale + 2 * extra, length * scale + 2 * extra, corner, z))
     inside = loft(np.array(rings)[::-1], capped=False)
     outer = [
-        np.column_stack([ring[:, :2] * (1 + wall / max(width, depth) * 2), ring[:, 2] - wall])
+        np.column_stack([ring[:, :2] * (1 + wall / max(width, length) * 2), ring[:, 2] - wall])
         for ring in rings[3:]
     ]
     outside = loft(np.array([rings[0], *outer])[::-1], capped=False)
@@ -39,7 +39,7 @@ def basin_shape(width: float, depth: float, deep: float) -> Shape:
     inside = inside if faces_up(inside) else inside.flipped()
     outside = outside.flipped() if faces_up(outside) else outside
     plug = ((0, -0.001), (0.024, -0.001), (0.03, 0.001), (0.03, 0.003), (0.02, 0.0015), (0, 0.001))
-    return inside + outside + lathe([(r, -deep + z) for r, z in plug], 24)
+    return inside + outside + lathe([(r, -depth + z) for r, z in plug], 24)
 
 
 def faces_up(shape: Shape) -> bool:
