@@ -128,7 +128,7 @@ def build_surfels(views: Sequence[TracedView]) -> Surfels:
         color = np.ascontiguousarray(view.color.reshape(-1, 3), np.float32)
         normal = np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3), np.float32)
         pixels = *cells[index], color, normal, view.geometry.depth_z_m.ravel()
-        return _observe_view(*pixels, cameras[index], low, cell_m, shape, surfel, num)
+        return _observe_view(*pixels, cameras[index], low, cell_m, surfel, num)
 
     with ThreadPoolExecutor(num_threads()) as pool:
         seen = list(pool.map(observe, range(len(views))))
@@ -280,7 +280,7 @@ def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
 
 
 @compiled
-def _observe_view(cell, weight, at_edge, color, normal, depth, camera, low, cell_m, shape, surfel, num):
+def _observe_view(cell, weight, at_edge, color, normal, depth, camera, low, cell_m, surfel, num):
     """Return the surfels (K,) in a view in increasing order, their radiance (K, 3) and weight (K,), the pixel
     (K,) nearest to the cell centre with its squared distance (K,), the numbers (K, 2) of all pixels and of
     those at depth edges, and the normalised mean normal (K, 3).

@@ -99,7 +99,7 @@ def build_scene(
     caches = caches or process_caches()
     _check_packages(configuration, library)
     caches.textures.forget_variations()
-    builder = _Builder(configuration, library, caches)
+    builder = _Builder(library, caches)
     for placed in (configuration.environment, *configuration.objects):
         builder.add_placed(placed)
     black = mi.load_dict(
@@ -134,7 +134,7 @@ def _check_packages(configuration: Configuration, library: Library) -> None:
 class _Builder:
     """Collects groups of triangles, ids and faults of the placed assets, in order."""
 
-    def __init__(self, configuration: Configuration, library: Library, caches: AssetCaches):
+    def __init__(self, library: Library, caches: AssetCaches):
         self.library, self.caches = library, caches
         self.problems: list[Problem] = []
         self.groups: dict[GroupKey, MeshGroup] = {}

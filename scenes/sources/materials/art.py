@@ -79,7 +79,7 @@ def portrait(g: Graph, ground: Color, skin: Color, coat: Color, seed: float = 1.
     return g.finish(color, 0.3)
 
 
-def dial(g: Graph, ground: Color, ink: Color, seed: float = 0.0) -> Material:
+def dial(g: Graph, ground: Color, ink: Color) -> Material:
     """A clock's face: twelve long and sixty short marks about the centre of the square."""
     u, v = g.uv()
     x, y = u - 0.5, v - 0.5
