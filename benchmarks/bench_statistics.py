@@ -126,7 +126,7 @@ def place_cameras(
     return cameras
 
 
-def seconds_a_view(views: list[StatisticsView], options: StatisticsOptions, scene=None) -> float:
+def seconds_per_view(views: list[StatisticsView], options: StatisticsOptions, scene=None) -> float:
     """Wall seconds per view of the statistics, including packing, upload, kernels and download."""
     return timed(lambda: list(compute_statistics(views, options, scene))).wall / len(views)
 
@@ -135,14 +135,14 @@ def measure_speed(views: list[StatisticsView], scene, repeats: int) -> dict:
     options = StatisticsOptions()
     traced = StatisticsOptions(visibility=VisibilityOptions("trace"))
     seconds: dict[str, list[float]] = {"kernel": [], "kernel_trace": [], "oracle": [], "ratio": []}
-    first = 2 * seconds_a_view(views[:2], options)
-    seconds_a_view(views[:2], traced, scene)
+    first = 2 * seconds_per_view(views[:2], options)
+    seconds_per_view(views[:2], traced, scene)
     for repeat in range(repeats):
-        seconds["kernel"].append(seconds_a_view(views, options))
+        seconds["kernel"].append(seconds_per_view(views, options))
         oracle = partial(statistics_vectorized, views, repeat % len(views), OracleOptions())
         seconds["oracle"].append(timed(oracle).wall)
         seconds["ratio"].append(seconds["oracle"][-1] / seconds["kernel"][-1])
-        seconds["kernel_trace"].append(seconds_a_view(views, traced, scene))
+        seconds["kernel_trace"].append(seconds_per_view(views, traced, scene))
     return {"first_two_views_with_compilation_s": first} | {k: summary(v) for k, v in seconds.items()}
 
 
@@ -151,7 +151,7 @@ def measure_growth(views: list[StatisticsView], repeats: int) -> dict:
     seconds: dict[int, list[float]] = {n: [] for n in numbers}
     for _ in range(repeats):
         for n in numbers:
-            seconds[n].append(seconds_a_view(views[:n], StatisticsOptions()))
+            seconds[n].append(seconds_per_view(views[:n], StatisticsOptions()))
     medians = [float(np.median(seconds[n])) for n in numbers]
     slope, intercept = np.polyfit(numbers, medians, 1)
     residual = np.array(medians) - (slope * np.array(numbers) + intercept)
@@ -165,8 +165,8 @@ def measure_growth(views: list[StatisticsView], repeats: int) -> dict:
 
 
 def measure_visibility(views: list[StatisticsView], scene) -> dict:
-    """Count the pairs (surface point, other view) that a shadow ray finds visible, and relative to them those
-    that only the depth test or only the ray finds visible.
+    """Number of pairs (surface point, other view) that are visible by shadow rays, and, relative to it, of
+    those visible only by the depth test or only by shadow rays.
     """
     packed = PackedViews([view.camera for view in views], [view.depth_z_m for view in views])
     rng = np.random.default_rng(1)

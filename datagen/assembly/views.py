@@ -32,7 +32,7 @@ from datagen.foundation.random import Draws
 
 MAX_NEAR_PIXELS = 0.02  # largest share of the image nearer than min_distance_m
 MAX_OPEN_PIXELS = 0.4  # largest share of the image without surface, or directly on a light
-MIN_THING_PIXELS = 0.04  # minimum share of the image covered by objects (not walls and floor)
+MIN_CONTENT_PIXELS = 0.04  # minimum share of the image covered by objects and furniture
 # largest share of the surface pixels on only three planes, which rejects views of bare corners and cupboards
 MAX_THREE_PLANES_PIXELS = 0.92
 MAX_PLANE_PIXELS = 0.72  # largest share of the image covered by a single plane, such as a bare wall
@@ -76,15 +76,16 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Subject:
-    """Targets of cameras: ``thing_centers`` (K, 3) of objects, triangle indices of each piece of furniture.
+    """Targets of cameras in a scene.
 
-    ``thing_instances`` is the mask of the scene's instances that are objects or furniture.
+    ``object_centers`` (K, 3); ``furniture_faces``: triangle indices of each piece of furniture;
+    ``content_mask``: the scene's instances that are objects or furniture.
     """
 
     scene: WorldScene
-    thing_centers: Floats
+    object_centers: Floats
     furniture_faces: list[NDArray[np.int64]]
-    thing_instances: NDArray[np.bool_]
+    content_mask: NDArray[np.bool_]
 
     @classmethod
     def of(cls, scene: WorldScene) -> Subject:
@@ -107,8 +108,8 @@ class Subject:
     def draw(self, draws: Draws) -> Floats:
         """Draw a target (3,): the centre of an object or furniture triangle; without these, any triangle."""
         pick, u = draws.unit(), draws.units(3)
-        if len(self.thing_centers) and (pick < 0.65 or not self.furniture_faces):
-            return self.thing_centers[int(u[0] * len(self.thing_centers))]
+        if len(self.object_centers) and (pick < 0.65 or not self.furniture_faces):
+            return self.object_centers[int(u[0] * len(self.object_centers))]
         faces = np.arange(len(self.scene.rays.faces))
         if self.furniture_faces:
             faces = self.furniture_faces[int(u[0] * len(self.furniture_faces))]
@@ -251,9 +252,9 @@ class ViewFinder:
         num_seen = int((pixels >= max(2.0, _MIN_INSTANCE_PIXELS * num_pixels)).sum())
         if num_seen < self.recipe.min_content:
             return False
-        if not subject.thing_instances.any():
+        if not subject.content_mask.any():
             return True
-        return int(pixels[subject.thing_instances].sum()) >= MIN_THING_PIXELS * num_pixels
+        return int(pixels[subject.content_mask].sum()) >= MIN_CONTENT_PIXELS * num_pixels
 
     def _planes(self, faces: NDArray[np.int64]) -> NDArray[np.int64]:
         """Pixel counts of visible planes, in descending order; normal and offset [m] are rounded to 0.1."""

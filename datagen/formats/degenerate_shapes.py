@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Degenerate lights, light slots, openings and supports: rectangles without area, directions of length 0."""
+"""Finds rectangles without area and directions of length 0 in lights, light slots, openings and supports."""
 
 from __future__ import annotations
 

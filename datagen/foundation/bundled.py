@@ -47,10 +47,10 @@ def bundled_names(kind: BundledKind) -> list[str]:
 
 
 def resolve_bundled(path: Path, kind: BundledKind) -> Path:
-    """Return ``path``, or the bundled recipe or suite of that name unless a file has it.
+    """Return the path of the bundled recipe or suite named ``path`` or, if none has this name, ``path``.
 
-    A folder may have it, such as the dataset of ``datagen run smoke --out smoke``. Raises
-    :class:`InputError`, which lists the bundled names, if ``path`` neither is one nor exists.
+    A file ``path`` takes precedence, a folder does not, such as the dataset of ``datagen run smoke --out
+    smoke``. Raises :class:`InputError`, which lists the bundled names, if ``path`` neither is one nor exists.
     """
     if path.is_file():
         return path

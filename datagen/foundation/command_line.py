@@ -55,7 +55,7 @@ LibraryPaths = Annotated[list[Path], typer.Argument(metavar="LIBRARY...", help="
 
 
 def finite(value: float | None) -> float | None:
-    """Callback of an option that refuses infinity, which a minimum allows, and NaN."""
+    """Callback of an option that refuses NaN and infinity, which satisfy a minimum."""
     if value is not None and not math.isfinite(value):
         raise typer.BadParameter(f"{value} is not finite")
     return value

@@ -254,9 +254,9 @@ def coat_rail(style: Style, draws: Draws, width: float) -> Item:
     return item
 
 
-def _coat(draws: Draws, room: float) -> Shape:
-    """Make a garment that hangs from its loop at the origin, for hooks ``room`` metres apart."""
-    length, half = draws.uniform(0.7, 1.0), min(0.23, 0.45 * room + 0.02)
+def _coat(draws: Draws, spacing: float) -> Shape:
+    """Make a garment that hangs from its loop at the origin, for hooks ``spacing`` metres apart."""
+    length, half = draws.uniform(0.7, 1.0), min(0.23, 0.45 * spacing + 0.02)
     phase = draws.uniform(0, 6)
     rings = []
     for t in np.linspace(1, 0, 14):

@@ -38,18 +38,18 @@ def tap(item: Item, x: float, y: float, z: float, reach: float, height: float) -
     item.add("metal", tube([(x + 0.02, y, z + 0.028), (x + 0.075, y - 0.005, z + 0.05)], 0.006, 8))
 
 
-def sink_bowl(width: float, depth: float, deep: float, at: Point) -> Shape:
-    """Make a sink bowl ``deep`` metres deep; ``at`` is the middle of its rim, on the worktop."""
+def sink_bowl(width: float, length: float, depth: float, at: Point) -> Shape:
+    """Make a sink bowl of ``width`` (x), ``length`` (y) and ``depth``; ``at``: middle of its rim."""
     (x, y, z), radius = at, 0.05
     rings = []
     for w, d, h, r in (
-        (width + 0.03, depth + 0.03, 0.0005, radius + 0.015),
-        (width + 0.03, depth + 0.03, 0.003, radius + 0.015),
-        (width + 0.004, depth + 0.004, 0.004, radius),
-        (width - 0.004, depth - 0.004, -0.004, radius),
-        (width - 0.02, depth - 0.02, -deep + 0.03, radius),
-        (width - 0.06, depth - 0.06, -deep + 0.004, radius),
-        (0.05, 0.05, -deep, 0.024),
+        (width + 0.03, length + 0.03, 0.0005, radius + 0.015),
+        (width + 0.03, length + 0.03, 0.003, radius + 0.015),
+        (width + 0.004, length + 0.004, 0.004, radius),
+        (width - 0.004, length - 0.004, -0.004, radius),
+        (width - 0.02, length - 0.02, -depth + 0.03, radius),
+        (width - 0.06, length - 0.06, -depth + 0.004, radius),
+        (0.05, 0.05, -depth, 0.024),
     ):
         rings.append(rounded_ring(w, d, r, z + h, (x, y)))
     return loft(np.array(rings), (False, True))

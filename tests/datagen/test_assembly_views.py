@@ -167,11 +167,11 @@ def test_no_view_is_of_a_bare_wall(rooms: list[tuple[Configuration, WorldScene]]
 def test_subjects_are_objects_not_walls(rooms: list[tuple[Configuration, WorldScene]]) -> None:
     configuration, scene = rooms[0]
     subject = Subject.of(scene)
-    assert len(subject.thing_centers) == len(configuration.objects)
-    assert subject.thing_instances[:5].tolist() == [False, False, False, True, True]  # table and shelf
-    assert subject.thing_instances[5:].all()
+    assert len(subject.object_centers) == len(configuration.objects)
+    assert subject.content_mask[:5].tolist() == [False, False, False, True, True]  # table and shelf
+    assert subject.content_mask[5:].all()
     for k, placed in enumerate(configuration.objects):
-        offset = subject.thing_centers[k][:2] - np.array(placed.world_from_asset)[:2, 3]
+        offset = subject.object_centers[k][:2] - np.array(placed.world_from_asset)[:2, 3]
         assert np.linalg.norm(offset) < 0.03
     assert {int(i) for f in subject.furniture_faces for i in np.unique(scene.instance_of_face[f])} == {3, 4}
 
