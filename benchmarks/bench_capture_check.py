@@ -143,7 +143,7 @@ def main() -> None:
         print(shard.name, dict(counts), flush=True)
     cpu_s = (time.process_time() - start) / num_checked
     print(
-        f"processor time {1000 * cpu_s:.0f} ms a view; offset off by {1000 * np.median(errors or [0]):.1f} "
+        f"processor time {1000 * cpu_s:.0f} ms per view; offset off by {1000 * np.median(errors or [0]):.1f} "
         f"mm, scale by {100 * np.median(scales or [0]):.2f} %"
     )
     if arguments.json:

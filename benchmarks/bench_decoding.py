@@ -48,7 +48,7 @@ def main() -> None:
     }.items():
         each = 1e3 * statistics.median(times)
         result[name] = {"ms": round(each, 2), "views_per_second": round(1e3 / each, 1)}
-        print(f"{name:7} {each:6.2f} ms a view, {1e3 / each:6.0f} views/s a core")
+        print(f"{name:7} {each:6.2f} ms per view, {1e3 / each:6.0f} views/s per core")
     write_report(result, args.out, is_printed=False)
 
 

@@ -199,7 +199,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--imported", type=Path, nargs="+", required=True)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--views", type=int, default=8, help="views a room")
+    parser.add_argument("--views", type=int, default=8, help="views per room")
     parser.add_argument("--page", type=int, default=24, help="rooms on the page")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)

@@ -68,7 +68,7 @@ def comparison(this: SuiteResult, other: SuiteResult) -> Table:
 
 def _cells(found: Difference, more_is_better: bool) -> Row:
     change = found.this - found.other
-    verdict = NONE if found.is_none else "better" if (change > 0) == more_is_better else "worse"
+    verdict = NONE if found.is_insignificant else "better" if (change > 0) == more_is_better else "worse"
     return (found.other, found.this, change, found.error, verdict)
 
 

@@ -45,7 +45,7 @@ from model.evaluation.opened_scene import (
     mesh_revision,
     open_scene,
     predictions_folder,
-    told,
+    stage_progress,
 )
 from model.evaluation.rendering import JudgedView
 from model.evaluation.rerendering import (
@@ -254,7 +254,7 @@ def measure(
     renders, images, merged = {}, {}, MapMeasures()
     spread: dict[str, dict[str, float]] = {}
     for light, scenery in sceneries.items():
-        progress = told(tell, f"render, {light}")
+        progress = stage_progress(tell, f"render, {light}")
         first, again = renderings_of(suite, scene, method, light, scenery, progress)
         renders[light] = str(first.folder)
         if light == INSERTED:

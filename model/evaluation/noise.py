@@ -85,7 +85,7 @@ class Difference:
     error: float
 
     @property
-    def is_none(self) -> bool:
+    def is_insignificant(self) -> bool:
         """Whether the difference is below two standard errors."""
         return not abs(self.this - self.other) > SURE * self.error
 

@@ -145,7 +145,7 @@ def key_of(*parts: Any) -> str:
     return sha256_hex(canonical_json([_REVISION, *parts]))[:12]
 
 
-def told(tell: Tell, stage: str) -> Advance:
+def stage_progress(tell: Tell, stage: str) -> Advance:
     """Callback (done, total) that reports the progress of ``stage`` to ``tell``."""
     return lambda done, total: tell(stage, done, total)
 
@@ -186,7 +186,7 @@ def open_scene(suite: Suite, recipe: TestScene, prepared: PreparedScene, tell: T
     for light in lights if suite.truth is None else (OWN, *lights):
         seed = TRUE_SEED if light == OWN else 0  # avoids the seed, and thus the noise, of the photographs
         rendering = scene.rendering(scene.sceneries[light], light, seed, render)
-        progress = told(tell, f"{recipe.name}: truth, {light}")
+        progress = stage_progress(tell, f"{recipe.name}: truth, {light}")
         render_scenery(scene.sceneries[light], rendering.views, [rendering], render, tell=progress)
         scene.renders[light] = str(rendering.folder)
         scene.truth[light] = rendering.read()

@@ -102,7 +102,7 @@ def _notes(result: SuiteResult) -> list[str]:
             elif method.checkpoint:
                 notes.append(
                     f"{scene.name}, {method.label}: checkpoint {method.checkpoint}, atlas of "
-                    f"{method.atlas_size} texels a side."
+                    f"{method.atlas_size} texels per side."
                 )
     return notes
 

@@ -110,7 +110,7 @@ class InferOptions(AssetOptions):
 class InferReport:
     """Report of a run.
 
-    ``atlas_size`` is in texels a side; ``seen_share`` and ``seen_of_visible``: observed share of the texels
+    ``atlas_size`` is in texels per side; ``seen_share`` and ``seen_of_visible``: observed share of the texels
     on the surface, and of those on visible triangles; ``exposure``: factor of the networks' input;
     ``seconds``: time by stage; ``memory_mb``: peak resident memory up to the end of each stage. Empty unless
     requested: ``mesh``, its noise and holes; ``radiometry``, the findings of

@@ -22,7 +22,7 @@ from model.training.stopwatch import Stopwatch
 
 
 def synthetic_batch(batch: int, size: int, device: torch.device) -> dict[str, Tensor]:
-    """Batch of ``batch`` square crops of ``size`` pixels a side, of a plane at a distance of 2 m."""
+    """Batch of ``batch`` square crops of ``size`` pixels per side, of a plane at a distance of 2 m."""
     generator = torch.Generator().manual_seed(0)
 
     def smooth(channels: int) -> Tensor:
@@ -123,7 +123,7 @@ def describe_run(config: TrainingConfig, folders: list[Path], device: torch.devi
         total += hours
         lines.append(
             f"{phase.config.name}: {steps:,} steps, about {memory:.1f} GiB and {hours:.2f} h "
-            f"({seconds:.2f} s a batch, measured with {crops} crop{'s' * (crops > 1)})"
+            f"({seconds:.2f} s per batch, measured with {crops} crop{'s' * (crops > 1)})"
         )
     lines.append(f"in all about {total:.2f} h, without validation")
     return "\n".join(lines)

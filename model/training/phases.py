@@ -36,7 +36,7 @@ class TrackModule(nn.Module):
         self._network = [network]  # in a list, which prevents registration of the other track
 
     def forward(self, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Predicted maps by name, (B, 3 or 1, S, S) for crops of S pixels a side."""
+        """Predicted maps by name, (B, 3 or 1, S, S) for crops of S pixels per side."""
         device = batch["beauty"].device.type
         with torch.autocast(device, torch.bfloat16, enabled=self.precision == "bfloat16"):
             return self._network[0](batch, batch["exposure"], batch["depth_max_m"], self.tracks)

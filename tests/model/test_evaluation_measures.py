@@ -220,12 +220,12 @@ def test_significant_differences_are_detected() -> None:
     other = {f"view-{k:03d}": float(v) for k, v in enumerate(hard)}
     better = {name: value + 0.5 + random.normal(0, 0.1) for name, value in other.items()}
     found = difference(other, better)
-    assert found is not None and not found.is_none
+    assert found is not None and not found.is_insignificant
     assert found.this - found.other == pytest.approx(0.5, abs=0.1) and found.error < 0.1
     noisy = difference(other, better, (1.0, 1.0))
-    assert noisy is not None and noisy.is_none  # renderer noise of 1 dB per view hides it
+    assert noisy is not None and noisy.is_insignificant  # renderer noise of 1 dB per view hides it
     same = difference(other, {name: value + random.normal(0, 0.5) for name, value in other.items()})
-    assert same is not None and same.is_none
+    assert same is not None and same.is_insignificant
     assert difference(other, {"view-000": 1.0}) is None
 
 

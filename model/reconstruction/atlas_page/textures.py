@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Converts material channels to 8-bit images for the page, with at most ``max_side`` texels a side.
+"""Converts material channels to 8-bit images for the page, with at most ``max_side`` texels per side.
 
 A material has three images. D and S are sRGB-encoded. The third contains R in red, the state of the atlas in
 green (255 observed or unknown, 128 filled), and the minimum confidence of D, S and R in blue (0 if unknown).

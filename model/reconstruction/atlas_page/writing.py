@@ -3,8 +3,8 @@
 
 index.html *.css *.js     the page and the library three.js
 data/scene.js             meshes, lights, cameras, and materials without their images
-data/preview.js           all images with at most 1024 texels a side, for a quick first picture
-data/<material>-<kind>.js larger images, with at most ``max_side`` texels a side
+data/preview.js           all images with at most 1024 texels per side, for a quick first picture
+data/<material>-<kind>.js larger images, with at most ``max_side`` texels per side
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def write_view(
                         large.add(out / "data" / f"{name}.js")
                         _write_script(out / "data" / f"{name}.js", f'images["{name}"]', _base64(image.png()))
                     if image.original_side > max_side:
-                        texels = f"{max_side} of {image.original_side} texels a side"
+                        texels = f"{max_side} of {image.original_side} texels per side"
                         notes.append(f"{slot}: {image.kind} is shown at {texels}")
                 if material.normal is not None or material.opacity is not None:
                     notes.append(f"{slot}: its normal map and opacity are not shown")

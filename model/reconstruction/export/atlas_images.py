@@ -52,7 +52,7 @@ def texture_shrink(atlas: Atlas) -> int:
 
 
 def averaged(band: NDArray, shrink: int) -> NDArray[np.float32]:
-    """Average ``band`` (H, W, C) over squares of ``shrink`` texels a side to (H / shrink, W / shrink, C)."""
+    """Average ``band`` (H, W, C) over ``shrink`` x ``shrink`` texels to (H / shrink, W / shrink, C)."""
     values = np.asarray(band, np.float32)
     if shrink == 1:
         return values
@@ -61,7 +61,7 @@ def averaged(band: NDArray, shrink: int) -> NDArray[np.float32]:
 
 
 def reduced_png(atlas: Atlas, name: str) -> bytes:
-    """Encode the map ``name``, reduced to at most :data:`MAX_TEXTURE` texels a side, as an 8-bit PNG."""
+    """Encode the map ``name``, reduced to at most :data:`MAX_TEXTURE` texels per side, as an 8-bit PNG."""
     shrink = texture_shrink(atlas)
     side = atlas.size // shrink
     stored = np.empty((side, side, MAP_CHANNELS[name]), np.uint8)

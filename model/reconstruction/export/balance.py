@@ -122,7 +122,7 @@ def _transport(
 
 
 def _load_scene(reconstruction: Reconstruction, folder: Path) -> Any:
-    """Load the exported scene without sensors, with textures of at most ``MAX_TEXTURE`` texels a side."""
+    """Load the exported scene without sensors, with textures of at most ``MAX_TEXTURE`` texels per side."""
     import mitsuba as mi
 
     from mitsuba_plugins import register

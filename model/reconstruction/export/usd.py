@@ -68,7 +68,7 @@ def require_usd() -> None:
 
 
 def write_usdz(path: Path, reconstruction: Reconstruction) -> None:
-    """Write one USDZ with geometry, textures of at most ``MAX_TEXTURE`` texels a side, and lights.
+    """Write one USDZ with geometry, textures of at most ``MAX_TEXTURE`` texels per side, and lights.
 
     Lights are the recovered lights, else the capture's point, sphere, area, directional and environment
     lights. Raises :class:`InputError` without ``usd-core``.

@@ -95,7 +95,7 @@ def own_uv_fault(mesh: Mesh) -> str:
 
 
 def padding_texels(mesh: Mesh) -> int | None:
-    """Compute the texels between the two nearest charts on an atlas of 1024 texels a side, at most 8; None
+    """Compute the texels between the two nearest charts on an atlas of 1024 texels per side, at most 8; None
     for meshes of over a million triangles.
     """
     from scipy.ndimage import maximum_filter, minimum_filter

@@ -63,7 +63,7 @@ VIEW.shadowShader = {
     }`,
 };
 
-// Maps of `count` lights with `side` texels a side, of those meshes of `world` that `render` leaves visible.
+// Maps of `count` lights with `side` texels per side, of those meshes of `world` that `render` leaves visible.
 VIEW.makeShadows = (renderer, world, count, side, near, range) => {
   const T = THREE;
   const target = new T.WebGLArrayRenderTarget(side, side, 6 * count, { minFilter: T.NearestFilter, magFilter: T.NearestFilter, generateMipmaps: false });

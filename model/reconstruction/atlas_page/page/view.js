@@ -242,7 +242,7 @@
       element("p", { class: "note", id: "sources-note", text: data.sources.length ? `${data.numLights === 1 ? "1 light" : `${data.numLights} lights`}, as ${data.sources.length === 1 ? "1 point" : `${data.sources.length} points`} at their centres; without reflected light.` : "There are none that this page can show." }),
       element("h2", { text: "Keys" }),
       element("ul", {}, ...["W A S D, Q E: move", "arrows: turn", "I J K L, U O: move the light", "1 to 7: displayed quantity", "[ ]: exposure", "C: next camera; F: look or turn around", "with Shift: farther"].map((text) => element("li", { text }))),
-      element("p", { class: "note", id: "sizes", text: `${data.materials.length} ${data.materials.length === 1 ? "material" : "materials"}, textures up to ${Math.max(1, ...sizes)} texels a side` }),
+      element("p", { class: "note", id: "sizes", text: `${data.materials.length} ${data.materials.length === 1 ? "material" : "materials"}, textures up to ${Math.max(1, ...sizes)} texels per side` }),
       ...data.notes.map((text) => element("p", { class: "note", text })));
     controls.whenLightMoves(() => { for (const k of [0, 1, 2]) ui[`light-${"xyz"[k]}`].apply(controls.light.getComponent(k)); });
     for (const name of ["exposure", "power", "fill", "shadows", "sources"]) ui[name].apply(ui[name].get());
