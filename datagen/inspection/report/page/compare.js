@@ -78,7 +78,7 @@ REPORT.compare = (() => {
     const best = Object.fromEntries(maps().map((map) => [map, Math.min(...methods().map((m) => m.total[map] ?? Infinity))]));
     const cell = (m, map) => {
       const text = figure(m.total[map]);
-      return methods().length > 1 && m.total[map] === best[map] ? element("b", { text, title: "the least error of all methods" }) : text;
+      return methods().length > 1 && m.total[map] === best[map] ? element("b", { text, title: "the lowest error of all methods" }) : text;
     };
     return REPORT.charts.table(["method", "views", ...maps().map((map) => `MSE of ${SHORT[map]}`), "not predicted", "with problems"],
       methods().map((m) => [m.label, m.num_views, ...maps().map((map) => cell(m, map)), m.num_missing, m.num_problems]), "Errors of the whole dataset by method");
