@@ -101,9 +101,9 @@ class PathSums:
 class ErrorEstimate:
     """Estimated error of a view.
 
-    ``rel_mse`` is that of the finished image, with its ``standard_error``. The others refer to one denoised
-    half: the mean ``spread`` and its ``spread_map`` (H, W), and the squared bias ``measured_bias``, which may
-    be negative, with its standard error ``bias_error``.
+    ``rel_mse`` is the error of the finished image, with its ``standard_error``. The others describe one
+    denoised half: ``spread`` is the mean of ``spread_map`` (H, W), and ``measured_bias`` its squared bias,
+    which noise can make negative, with the standard error ``bias_error``.
     """
 
     rel_mse: float

@@ -170,10 +170,10 @@ class LightSampler:
 
 
 def uniform_sampler(scene: Any, guide: SkyGuide | None) -> LightSampler | None:
-    """Return a sampler that uses openings with probabilities ``guide.shares``, otherwise a uniform emitter.
+    """Return a sampler with equal probabilities in all cells, in multiples of 1 / slots.
 
-    Both probabilities are rounded to slots. Returns None for fewer than two techniques or more than
-    :data:`MAX_TECHNIQUES`.
+    Openings have the probabilities ``guide.shares``, and emitters equal parts of the rest. Returns None for
+    fewer than two techniques or more than :data:`MAX_TECHNIQUES`.
     """
     num_emitters = len(scene.emitters())
     shares = np.zeros(0) if guide is None else guide.shares

@@ -16,7 +16,7 @@ uniformly. The density
 of direction w, with the cell's area A_c and the cosine at the face, is then known for openings of any shape.
 The guide is thus a further technique of multiple importance sampling; a poor estimate adds no bias.
 
-Most points see only some of the openings, and a surface only those in front of it. Cells are therefore
+From most points, only some of the openings are visible, all in front of the surface. Cells are therefore
 divided into groups, the *openings*, each with its own density, among which the light sampler chooses.
 """
 
