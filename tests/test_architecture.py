@@ -23,7 +23,7 @@ SOURCES = (*PACKAGES, "oracles", "benchmarks", "tests", "scenes/sources")
 
 _GROUND = "datagen.foundation datagen.formats"
 _LIBRARY = f"{_GROUND} datagen.library"
-_TRACED = "datagen.multiview datagen.geometry"
+_TRACED = "datagen.multiview.compiled datagen.geometry mitsuba_plugins.arrays"
 _RENDER = f"{_LIBRARY} datagen.multiview datagen.rendering mitsuba_plugins"
 _NETWORKS = "model.networks model.own_network model.confidence"
 _ATLAS = "model.reconstruction.atlas datagen.geometry"
@@ -73,8 +73,9 @@ MATRIX = {
         "model.reconstruction.found_lights": "",
         "model.reconstruction.stages": "datagen.foundation datagen.geometry "
         "model.reconstruction.infer_options model.reconstruction.found_lights",
-        "model.reconstruction.predict": f"{_GROUND} {_TRACED} datagen.light {_NETWORKS} model.checkpoint "
-        "model.devices model.reconstruction.infer_options model.reconstruction.stages",
+        "model.reconstruction.predict": f"{_GROUND} datagen.multiview datagen.geometry datagen.light "
+        f"{_NETWORKS} model.checkpoint model.devices model.reconstruction.infer_options "
+        "model.reconstruction.stages",
         "model.reconstruction.albedo_level": "datagen.foundation datagen.geometry datagen.light "
         "model.reconstruction.radiometry model.reconstruction.stages",
         "model.reconstruction.light": f"{_GROUND} {_TRACED} datagen.light model.reconstruction.found_lights "
@@ -84,8 +85,8 @@ MATRIX = {
         "model.reconstruction.unwrap": f"datagen.foundation datagen.multiview.compiled {_ATLAS}",
         "model.reconstruction.mesh": f"{_GROUND} {_TRACED} model.reconstruction.stages",
         "model.reconstruction.merge": f"datagen.foundation datagen.multiview {_ATLAS} "
-        "model.reconstruction.unwrap",
-        "model.reconstruction.export": f"{_GROUND} {_ATLAS} datagen.multiview.visibility mitsuba_plugins "
+        "mitsuba_plugins.arrays model.reconstruction.unwrap",
+        "model.reconstruction.export": f"{_GROUND} {_ATLAS} mitsuba_plugins "
         "model.reconstruction.found_lights",
         "model.reconstruction.report_page": "datagen.foundation model.reconstruction.found_lights "
         "model.reconstruction.infer_options model.reconstruction.stages",

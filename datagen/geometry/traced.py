@@ -17,7 +17,7 @@ from datagen.formats.capture import CaptureGeometry
 from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.mesh import Mesh, area_vectors, edge_pairs, unit_vectors, welded
 from datagen.geometry.crease_normals import with_normals
-from datagen.multiview.visibility import point_argument, rows_from_vectors, vectors_from_rows
+from mitsuba_plugins.arrays import point_argument, rows_from_vectors, vectors_from_rows
 from mitsuba_plugins.variant import select_variant
 
 if TYPE_CHECKING:

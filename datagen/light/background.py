@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 
 from datagen.foundation.color import luminance
 from datagen.geometry.views import TracedView
-from datagen.multiview.visibility import point_argument
+from mitsuba_plugins.arrays import point_argument
 from mitsuba_plugins.cells import cell_of
 
 REACH = 2.0

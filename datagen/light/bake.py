@@ -30,7 +30,7 @@ from datagen.light.radiance_field import (
     lobe_pdf,
     schlick_weight,
 )
-from datagen.multiview.visibility import aligned, rows_from_vectors, vectors_from_rows
+from mitsuba_plugins.arrays import aligned, rows_from_vectors, vectors_from_rows
 from mitsuba_plugins.beckmann import alpha_from_roughness, sample_visible_normal, smith_g1
 
 MIN_KNOWN = 0.1

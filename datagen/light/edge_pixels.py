@@ -33,7 +33,7 @@ from datagen.light.cells import unmixed_cells
 from datagen.light.emitters import photographed_emitters
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import Surfels, build_surfels, grouped_medians
-from datagen.multiview.visibility import point_argument, rows_from_vectors, vectors_from_rows
+from mitsuba_plugins.arrays import point_argument, rows_from_vectors, vectors_from_rows
 
 SHARE_ERROR = 0.04
 """Standard error of a_p, due to the finite numbers of rays here and of samples in the photographed pixel."""

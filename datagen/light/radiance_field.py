@@ -20,7 +20,7 @@ from datagen.light.background import Background
 from datagen.light.cells import Cells, cell_keys, outer_cells, pyramid
 from datagen.light.emitters import Emitters
 from datagen.light.surfels import NUM_SIDES, Surfels
-from datagen.multiview.visibility import aligned, point_argument, rows_from_vectors
+from mitsuba_plugins.arrays import aligned, point_argument, rows_from_vectors
 from mitsuba_plugins.beckmann import (
     alpha_from_roughness,
     beckmann_d,

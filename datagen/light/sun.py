@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from datagen.foundation.color import luminance
 from datagen.light.surfels import weighted_medians
-from datagen.multiview.visibility import vectors_from_rows
+from mitsuba_plugins.arrays import vectors_from_rows
 
 Floats = NDArray[np.float64]
 

@@ -24,14 +24,8 @@ from datagen.foundation.buffers import MIN_COVERAGE, STATISTICS_BUFFERS
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import Problem, Problems, input_error, raise_problems
 from datagen.multiview.view_selection import Selection, select_views
-from datagen.multiview.visibility import (
-    PackedViews,
-    VisibilityOptions,
-    aligned,
-    aligned_empty,
-    project,
-    vectors_from_rows,
-)
+from datagen.multiview.visibility import PackedViews, VisibilityOptions, project
+from mitsuba_plugins.arrays import aligned, aligned_empty, vectors_from_rows
 from mitsuba_plugins.variant import select_variant
 
 if TYPE_CHECKING:

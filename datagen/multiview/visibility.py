@@ -32,13 +32,13 @@ from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import Problems, input_error, raise_problems
+from mitsuba_plugins.arrays import aligned, aligned_empty, vectors_from_rows
 from mitsuba_plugins.variant import select_variant
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
 CAMERA_STRIDE = 16  # floats per view: rotation (9, row-major camera_from_world), centre (3), fx, fy, cx, cy
-_ALIGNMENT = 64  # bytes of the widest SIMD register
 _MAX_PIXELS = 2**32  # pixel indices are 32-bit
 _MIN_TRACE_COSINE = 0.05  # otherwise, shadow rays at grazing angles would end far before the point
 
@@ -134,25 +134,6 @@ class PackedViews:
         self.centres = mi.Float(aligned(centres))
         self.layout = mi.UInt32(aligned(np.array(layout), np.uint32))
         self.depth = None if depth_z_m is None else mi.Float(_flatten_depth(cameras, depth_z_m))
-
-
-def aligned_empty(size: int, dtype: Any) -> NDArray:
-    """Flat, uninitialised array (``size``,) in memory aligned for packet loads, which Dr.Jit can share.
-
-    On the CPU, Dr.Jit uses NumPy's memory directly. If it is not aligned, Dr.Jit compiles another kernel with
-    scalar gathers instead of packet loads, so the allocator would determine which kernel runs.
-    """
-    num_bytes = size * np.dtype(dtype).itemsize
-    memory = np.empty(num_bytes + _ALIGNMENT, dtype=np.uint8)
-    start = -memory.ctypes.data % _ALIGNMENT
-    return memory[start : start + num_bytes].view(dtype)
-
-
-def aligned(array: NDArray, dtype: Any = None) -> NDArray:
-    """Flat copy of ``array`` in aligned memory, as ``dtype`` if given."""
-    flat = aligned_empty(array.size, dtype or array.dtype)
-    flat[:] = array.ravel()
-    return flat
 
 
 def _camera_row(camera: Camera) -> NDArray[np.float32]:
@@ -267,36 +248,6 @@ def _agrees_with_depth(
     # facing = |n' . (x/z, y/z, 1)| z; at grazing angles the quotient may be Inf, which min() bounds
     slope = dr.minimum(options.slope_tolerance_px * step * at.z_m / facing, options.slope_limit)
     return dr.abs(stored - at.z_m) <= at.z_m * (options.depth_tolerance + slope)
-
-
-def vectors_from_rows(rows: NDArray) -> Any:
-    """Convert an array (N, 3) to a ``mi.Vector3f`` without a separate kernel for each N.
-
-    ``mi.Vector3f(array)`` would make N a literal of the kernels.
-    """
-    import drjit as dr
-    import mitsuba as mi
-
-    flat = aligned(np.asarray(rows), np.float32)
-    return dr.gather(mi.Vector3f, mi.Float(flat), dr.arange(mi.UInt32, len(flat) // 3))
-
-
-def point_argument(position_m: NDArray) -> Any:
-    """Convert a point (3,) to a ``mi.Point3f`` that kernels take as an argument, not as a literal."""
-    import drjit as dr
-    import mitsuba as mi
-
-    return mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in position_m))
-
-
-def rows_from_vectors(vectors: Any) -> NDArray[np.float32]:
-    """Convert a ``mi.Vector3f`` or ``mi.Color3f`` to an array (N, 3), the inverse of
-    :func:`vectors_from_rows`; ``vectors.numpy()`` would run a separate kernel for each N.
-    """
-    import drjit as dr
-
-    dr.eval(vectors)
-    return np.stack(np.broadcast_arrays(*(part.numpy() for part in vectors)), axis=1)
 
 
 class PointObservations(NamedTuple):

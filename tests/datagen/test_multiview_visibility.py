@@ -8,13 +8,8 @@ import pytest
 
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.errors import InputError
-from datagen.multiview.visibility import (
-    PackedViews,
-    VisibilityOptions,
-    max_distance,
-    observe_points,
-    vectors_from_rows,
-)
+from datagen.multiview.visibility import PackedViews, VisibilityOptions, max_distance, observe_points
+from mitsuba_plugins.arrays import vectors_from_rows
 from oracles.multiview_scenes import is_occluded, make_views, mitsuba_scene
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")

@@ -82,7 +82,7 @@ def test_mirror_images_show_the_mirrored_wall(box_light: ViewLight) -> None:
     """A sharp mirror image has the radiance of the wall that the mirrored ray hits."""
     import mitsuba as mi
 
-    from datagen.multiview.visibility import vectors_from_rows
+    from mitsuba_plugins.arrays import vectors_from_rows
 
     scene = TracedGeometry(box_geometry()).scene
     views, ratios = photographed_box(), []

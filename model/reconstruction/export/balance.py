@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.color import luminance
-from datagen.multiview.visibility import rows_from_vectors, vectors_from_rows
+from mitsuba_plugins.arrays import rows_from_vectors, vectors_from_rows
 from model.reconstruction.atlas.atlas import MAP_CHANNELS
 from model.reconstruction.export.atlas_images import reduced_png, texture_shrink
 from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene

@@ -24,7 +24,7 @@ from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.light.background import Background, box_squares
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import Surfels
-from datagen.multiview.visibility import vectors_from_rows
+from mitsuba_plugins.arrays import vectors_from_rows
 from model.reconstruction.found_lights import FoundPatch, Rectangle, as_color
 from model.reconstruction.light.rectangles import cover, cut
 

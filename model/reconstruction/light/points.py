@@ -22,7 +22,7 @@ from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.light.bake import cosine_rays
 from datagen.light.lighting import Lit
 from datagen.light.surfels import Surfels, weighted_medians
-from datagen.multiview.visibility import rows_from_vectors
+from mitsuba_plugins.arrays import rows_from_vectors
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.solve import (
     ROUGHNESS_LEVELS,

@@ -28,7 +28,8 @@ from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import Problem, Problems, raise_problems
 from datagen.foundation.peak_memory import num_threads
 from datagen.geometry.views import TracedView
-from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe, vectors_from_rows
+from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe
+from mitsuba_plugins.arrays import vectors_from_rows
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, MAP_COLUMNS, Atlas
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.merge.lane_sort import networks

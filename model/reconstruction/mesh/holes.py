@@ -22,7 +22,7 @@ from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.foundation.meshes.mesh import Mesh, area_vectors, welded
 from datagen.geometry.traced import mesh_scene
 from datagen.multiview.compiled import compiled
-from datagen.multiview.visibility import vectors_from_rows
+from mitsuba_plugins.arrays import vectors_from_rows
 
 MAX_SIZE = 0.15
 """Maximum extent of a hole, relative to the diagonal of the mesh's bounding box."""
