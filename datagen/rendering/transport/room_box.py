@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.rendering.transport.sky_observation import SkyObservations
+from mitsuba_plugins.arrays import point_argument, vectors_from_rows
 from mitsuba_plugins.cells import cell_of
 
 Array = Any
@@ -59,10 +60,9 @@ def room_box(observations: SkyObservations) -> NDArray[np.float64] | None:
     planes += np.array([-margin, margin])[:, None, None]
     box_m = planes[:, 0]
     step = max(1, len(observations.origins_m) // NUM_RAYS)
-    origins = observations.origins_m[::step]
-    rays = (as_vectors(origins), as_vectors(observations.directions[::step]))
+    rays = observations.origins_m[::step], observations.directions[::step]
     weights = _weights(observations, box_m)[::step]
-    best = _log_density(box_m, origins, rays, weights)
+    best = _log_density(box_m, *rays, weights)
     while np.isfinite(best):
         moved = []
         for end, axis in np.ndindex(2, 3):
@@ -71,7 +71,7 @@ def room_box(observations: SkyObservations) -> NDArray[np.float64] | None:
                 box[end, axis] = plane
                 is_inwards = plane > box_m[0, axis] if end == 0 else plane < box_m[1, axis]
                 if is_inwards and (box[1] > box[0]).all():
-                    moved.append((_log_density(box, origins, rays, weights), box))
+                    moved.append((_log_density(box, *rays, weights), box))
         density, box = max(moved, key=lambda pair: pair[0], default=(best, box_m))
         if density < best + MIN_GAIN:
             break
@@ -102,18 +102,15 @@ def _weights(observations: SkyObservations, box_m: NDArray[np.float64]) -> NDArr
 def _log_density(
     box_m: NDArray[np.float64],
     origins_m: NDArray[np.float64],
-    rays: tuple[Any, Any],
+    directions: NDArray[np.float64],
     weights: NDArray[np.float64],
 ) -> float:
-    """Mean logarithm of the density [1/sr] of rays in a guide fitted to the others.
-
-    ``rays`` are the rays' origins, again, and directions.
-    """
+    """Mean logarithm of the density [1/sr] of rays in a guide fitted to the others."""
     is_inside = ((origins_m >= box_m[0]) & (origins_m <= box_m[1])).all(axis=1)
     inner = np.where(is_inside, weights, 0.0)
     if not inner.any():
         return -np.inf
-    cell, distance, cosine = exits(box_m, *rays)
+    cell, distance, cosine = exits(box_m, origins_m, directions)
     num_cells = 6 * CELLS**2
     found = np.bincount(cell, inner, num_cells)[cell] - inner  # without the ray itself
     share = (1.0 - UNIFORM_SHARE) * np.maximum(found, 0.0) / inner.sum() + UNIFORM_SHARE / num_cells
@@ -130,25 +127,14 @@ def cell_areas(box_m: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.repeat(side.prod() / side / CELLS**2, 2 * CELLS**2)
 
 
-def exits(box_m: NDArray[np.float64], origins: Array, directions: Array) -> tuple[NDArray[Any], ...]:
-    """Cell, distance [m] and cosine, each (N,), at which rays (``mi.Point3f``) leave a box (2, 3)."""
-    low, high = corners(box_m)
-    dr.make_opaque(low, high)
-    cell, distance, along = (np.array(part) for part in exit_cell(low, high, origins, directions))
+def exits(
+    box_m: NDArray[np.float64], origins_m: NDArray[np.float64], directions: NDArray[np.float64]
+) -> tuple[NDArray[Any], ...]:
+    """Cell, distance [m] and cosine, each (N,), at which rays leave a box (2, 3)."""
+    low, high = map(point_argument, box_m)
+    rays = mi.Point3f(vectors_from_rows(origins_m)), vectors_from_rows(directions)
+    cell, distance, along = (np.array(part) for part in exit_cell(low, high, *rays))
     return cell.astype(np.int64), distance.astype(np.float64), np.abs(along.astype(np.float64))
-
-
-def as_vectors(rows: NDArray[np.float64]) -> Any:
-    """``rows`` (N, 3) as a ``mi.Point3f`` in memory, so that kernels do not depend on N."""
-    vectors: Any = mi.Point3f(rows.T.astype(np.float32))
-    dr.eval(vectors)
-    return vectors
-
-
-def corners(box_m: NDArray[np.float64]) -> tuple[Any, Any]:
-    """Lower and upper corner (``mi.Point3f``) of a box (2, 3)."""
-    low, high = (mi.Point3f(*(float(c) for c in corner)) for corner in box_m)
-    return low, high
 
 
 def exit_cell(low: Array, high: Array, point: Array, direction: Array) -> tuple[Any, Any, Any]:

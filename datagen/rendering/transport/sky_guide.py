@@ -29,16 +29,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.rendering.transport.room_box import (
-    CELLS,
-    as_vectors,
-    cell_areas,
-    corners,
-    exit_cell,
-    exits,
-    room_box,
-)
+from datagen.rendering.transport.room_box import CELLS, cell_areas, exit_cell, exits, room_box
 from datagen.rendering.transport.sky_observation import SkyObservations
+from mitsuba_plugins.arrays import point_argument
 from mitsuba_plugins.cells import cell_of
 
 Array = Any
@@ -88,13 +81,13 @@ class SkyGuide:
         self.shares = share * np.bincount(openings, probabilities)
         table = np.concatenate([_table(probabilities * (openings == k)) for k in range(len(self.shares))])
         drawn = np.bincount(table, minlength=probabilities.size) / TABLE  # the tables' exact probabilities
-        self.low, self.high = corners(box_m)
-        self.brightest = mi.Float(brightest)
-        self.distance = mi.Float(outside_distance(scene))  # from which the environment's light arrives
+        self.low, self.high = map(point_argument, box_m)
+        self.brightest = dr.opaque(mi.Float, brightest)
+        # from which the environment's light arrives
+        self.distance = dr.opaque(mi.Float, outside_distance(scene))
         self.table = mi.UInt32(table.astype(np.uint32))
         self.opening_of_cell = mi.UInt32(openings.astype(np.uint32))
         self.density = mi.Float((drawn / cell_areas(box_m)).astype(np.float32))
-        dr.make_opaque(self.low, self.high, self.brightest, self.distance)
 
     def arrays(self) -> list[Any]:
         """Arrays that a recorded kernel reads."""
@@ -184,7 +177,7 @@ def fit_sky_guide(scene: Any, observations: SkyObservations) -> SkyGuide | None:
     is_inside = ((observations.origins_m >= box_m[0]) & (observations.origins_m <= box_m[1])).all(axis=1)
     if not weights[is_inside].any():
         return None
-    cells, *_ = exits(box_m, as_vectors(observations.origins_m), as_vectors(observations.directions))
+    cells, *_ = exits(box_m, observations.origins_m, observations.directions)
     found = np.bincount(cells[is_inside], weights[is_inside], 6 * CELLS**2).reshape(6, CELLS, CELLS)
     around = np.full((1, 3, 3), NEIGHBOUR_SHARE)
     around[0, 1, 1] = 1.0
