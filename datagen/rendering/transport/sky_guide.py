@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from datagen.rendering.transport.room_box import CELLS, cell_areas, exit_cell, exits, room_box
 from datagen.rendering.transport.sky_observation import SkyObservations
-from mitsuba_plugins.arrays import point_argument
+from mitsuba_plugins.arrays import point_argument, rows_from_vectors
 from mitsuba_plugins.cells import cell_of
 
 Array = Any
@@ -120,17 +120,19 @@ class SkyGuide:
         ``choice`` in [0, 1) selects the cell, ``sample`` in [0, 1)^2 the position in it.
         """
         cell = dr.gather(mi.UInt32, self.table, opening * TABLE + cell_of(choice * TABLE, TABLE))
-        face, rest = cell // (CELLS * CELLS), cell % (CELLS * CELLS)
-        column = (mi.Float(rest // CELLS) + sample.x) / CELLS
-        row = (mi.Float(rest % CELLS) + sample.y) / CELLS
-        axis, end = face // 2, mi.Float(face % 2)
-        share: Any = mi.Vector3f(
-            dr.select(axis == 0, end, column),
-            dr.select(axis == 1, end, dr.select(axis == 0, column, row)),
-            dr.select(axis == 2, end, row),
-        )
         side: Any = self.high - self.low
-        return dr.normalize(self.low + share * side - point)
+        return dr.normalize(self.low + _position(cell, sample) * side - point)
+
+
+def _position(cell: Array, sample: Array) -> Any:
+    """Position, relative to the box, of the point ``sample`` in [0, 1)^2 of a cell."""
+    face, rest = cell // (CELLS * CELLS), cell % (CELLS * CELLS)
+    column = (mi.Float(rest // CELLS) + sample.x) / CELLS
+    row = (mi.Float(rest % CELLS) + sample.y) / CELLS
+    axis, end = face // 2, mi.Float(face % 2)
+    x = dr.select(axis == 0, end, column)
+    y = dr.select(axis == 1, end, dr.select(axis == 0, column, row))
+    return mi.Vector3f(x, y, dr.select(axis == 2, end, row))
 
 
 def _openings(probabilities: NDArray[np.float64], side_m: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -139,11 +141,8 @@ def _openings(probabilities: NDArray[np.float64], side_m: NDArray[np.float64]) -
     The opening with the largest moment, probability x variance of position along an axis, is divided at its
     mean position, until there are OPENINGS or all consist of one cell.
     """
-    face, column, row = np.unravel_index(np.arange(probabilities.size), (6, CELLS, CELLS))
-    axis, end = face // 2, CELLS * (face % 2)
-    y = np.where(axis == 1, end, np.where(axis == 0, column, row))
-    positions = np.stack([np.where(axis == 0, end, column), y, np.where(axis == 2, end, row)], axis=-1)
-    positions = positions * side_m / (CELLS * side_m.max())
+    places = _position(dr.arange(mi.UInt32, probabilities.size), mi.Point2f(0.0))
+    positions = rows_from_vectors(places) * side_m / side_m.max()
     weights = probabilities[:, None]
     openings = np.zeros(probabilities.size, np.int64)
     for number in range(1, OPENINGS):
