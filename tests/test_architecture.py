@@ -42,7 +42,7 @@ MATRIX = {
         "datagen.parametric": _GROUND,
         "datagen.assembly": f"{_LIBRARY} datagen.parametric mitsuba_plugins",
         "datagen.rendering": f"{_LIBRARY} mitsuba_plugins",
-        "datagen.importers": f"{_LIBRARY} datagen.asset_check datagen.rendering mitsuba_plugins",
+        "datagen.importers": f"{_GROUND} datagen.asset_check mitsuba_plugins",
         "datagen.farm": f"{_RENDER} datagen.assembly datagen.geometry datagen.light",
         "datagen.inspection": f"{_RENDER} datagen.farm",
         "datagen.tradeoff": f"{_RENDER} datagen.farm",

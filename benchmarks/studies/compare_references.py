@@ -7,7 +7,7 @@
 Every scene is imported into a temporary library, rendered from its own camera at the reference's aspect with
 the original BSDFs and with the project's, and compared with its author's ``reference.exr``. The third column
 compares the rendering with converted materials to that with original ones. Figures: correlation and median
-ratio of blurred luminance (``datagen.importers.reference.agreement``). Writes --out (JSON) and prints a
+ratio of blurred luminance (``oracles.imported_renders.agreement``). Writes --out (JSON) and prints a
 Markdown table.
 """
 
@@ -31,9 +31,9 @@ from datagen.foundation.color import exposure_for, srgb_from_linear
 from datagen.foundation.images import read_image
 from datagen.importers.common import ImportOptions
 from datagen.importers.mitsuba_xml import import_mitsuba_scene
-from datagen.importers.reference import Agreement, agreement, render_converted, render_original
 from datagen.library import Library
 from mitsuba_plugins.variant import select_variant
+from oracles.imported_renders import Agreement, agreement, render_converted, render_original
 
 SCENES = ("staircase", "staircase2", "veach-ajar", "bathroom2", "dining-room", "bathroom")
 UNIT_SCALES = {"bathroom2": 0.1}

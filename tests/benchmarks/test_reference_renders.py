@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.studies.compare_references import compare_scene, table
-from datagen.importers.reference import agreement
+from oracles.imported_renders import agreement
 
 MIN_CORRELATION = 0.95
 MAX_RATIO_ERROR = 0.10

@@ -29,7 +29,7 @@ from datagen.importers.mitsuba_materials import Draft, MaterialConverter
 from datagen.importers.mitsuba_shapes import shape_mesh, transformed_uv
 from datagen.importers.mitsuba_values import checkerboard, normal_from_height
 from datagen.importers.mitsuba_xml import import_mitsuba_scene
-from datagen.importers.reference import agreement, native_configuration
+from oracles.imported_renders import agreement, native_configuration
 
 LICENSED = ImportOptions(license="CC0-1.0")
 SENSOR = """
@@ -636,8 +636,8 @@ def test_every_shape_looks_as_in_mitsuba(tmp_path: Path, mitsuba_variant: str) -
     """Renderings of the original and the imported scene agree in shapes, textures, camera and sky."""
     import OpenEXR
 
-    from datagen.importers.reference import render_converted, render_original
     from datagen.library import Library
+    from oracles.imported_renders import render_converted, render_original
 
     folder = tmp_path / "scene"
     colorful(folder / "t.png", 64)
