@@ -23,8 +23,9 @@ import numpy as np
 from benchmarks.timing import machine, summary, timed, write_report
 from datagen.foundation.cameras import Camera, look_at
 from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics, has_surface
-from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe_points
+from datagen.multiview.visibility import PackedViews, VisibilityOptions
 from mitsuba_plugins.variant import select_variant
+from oracles.point_observations import observe_points
 from oracles.statistics import OracleOptions, statistics_vectorized
 
 

@@ -25,9 +25,10 @@ from datagen.foundation.buffers import BUFFERS
 from datagen.foundation.color import linear_from_log, log_from_linear
 from datagen.foundation.exr import decode_view, encode_view, to_storage
 from datagen.multiview.statistics import StatisticsView, compute_statistics
-from datagen.multiview.visibility import PackedViews, observe_points
+from datagen.multiview.visibility import PackedViews
 from mitsuba_plugins.variant import select_variant
 from oracles.multiview_scenes import make_views
+from oracles.point_observations import observe_points
 from oracles.rendering_scenes import SmallScene, down_camera, quad, renderer
 
 SCALES = (1e-3, 1e-1, 1e2, 1e4)

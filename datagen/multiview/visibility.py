@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import Problems, input_error, raise_problems
-from mitsuba_plugins.arrays import aligned, aligned_empty, vectors_from_rows
+from mitsuba_plugins.arrays import aligned, aligned_empty
 from mitsuba_plugins.variant import select_variant
 
 if TYPE_CHECKING:
@@ -248,44 +248,3 @@ def _agrees_with_depth(
     # facing = |n' . (x/z, y/z, 1)| z; at grazing angles the quotient may be Inf, which min() bounds
     slope = dr.minimum(options.slope_tolerance_px * step * at.z_m / facing, options.slope_limit)
     return dr.abs(stored - at.z_m) <= at.z_m * (options.depth_tolerance + slope)
-
-
-class PointObservations(NamedTuple):
-    """Visibility and projections of N points in V views, as NumPy arrays."""
-
-    visible_mask: NDArray[np.bool_]
-    """(V, N), True where the point is visible."""
-    pixels: NDArray[np.float32]
-    """(V, N, 2), projections in pixels; NaN where not visible."""
-    cosine: NDArray[np.float32]
-    """(V, N), cosine between normal and direction to the camera; 0 where not visible."""
-    distance_m: NDArray[np.float32]
-    """(V, N), distance between camera and point, whether visible or not."""
-
-
-def observe_points(
-    views: PackedViews,
-    points: NDArray,
-    normals: NDArray,
-    options: VisibilityOptions | None = None,
-    scene: mi.Scene | None = None,
-) -> PointObservations:
-    """Project points (N, 3) with unit normals (N, 3) into every view and test their visibility.
-
-    The result has V x N entries; process large numbers of points in blocks.
-    """
-    import drjit as dr
-    import mitsuba as mi
-
-    options = options or VisibilityOptions()
-    position, normal = mi.Point3f(vectors_from_rows(points)), vectors_from_rows(normals)
-    dr.eval(position, normal)
-    rows = []
-    for view in range(views.num_views):
-        observed = observe(views, dr.opaque(mi.UInt32, view), position, normal, options, scene)
-        outputs = (observed.is_visible, observed.u_px, observed.v_px, observed.cosine, observed.distance_m)
-        dr.eval(outputs)
-        rows.append([np.asarray(value.numpy()) for value in outputs])
-    visible, u, v, cosine, distance = (np.stack(column) for column in zip(*rows, strict=True))
-    pixels = np.where(visible[..., None], np.stack([u, v], axis=-1), np.float32(np.nan))
-    return PointObservations(visible, pixels, np.where(visible, cosine, np.float32(0)), distance)

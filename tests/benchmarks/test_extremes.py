@@ -23,9 +23,10 @@ from benchmarks.studies.data_extremes import (
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for, linear_from_log, log_from_linear, srgb_from_linear
 from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
-from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe_points
+from datagen.multiview.visibility import PackedViews, VisibilityOptions
 from datagen.rendering.error import relative_mse
 from oracles.multiview_scenes import POSES, make_views, seen_boxes
+from oracles.point_observations import observe_points
 from oracles.statistics import statistics_vectorized
 from tests.datagen.test_multiview_statistics import disagreement, oracle_options
 

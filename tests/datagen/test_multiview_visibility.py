@@ -8,9 +8,10 @@ import pytest
 
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.errors import InputError
-from datagen.multiview.visibility import PackedViews, VisibilityOptions, max_distance, observe_points
+from datagen.multiview.visibility import PackedViews, VisibilityOptions, max_distance
 from mitsuba_plugins.arrays import vectors_from_rows
 from oracles.multiview_scenes import is_occluded, make_views, mitsuba_scene
+from oracles.point_observations import observe_points
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
