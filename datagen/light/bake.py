@@ -79,21 +79,6 @@ class SpecularShading:
         return replace(self, ls0=self.ls0 / known, ls1=self.ls1 / known)
 
 
-def cosine_rays(position_m: NDArray, normal: NDArray, num_rays: int, start_m: float, seed: int) -> Any:
-    """``num_rays`` cosine-distributed rays (``mi.Ray3f``) from each point (N, 3) with normal (N, 3) in turn.
-
-    Origins are offset by ``start_m`` along the normal.
-    """
-    import drjit as dr
-    import mitsuba as mi
-
-    n = vectors_from_rows(np.repeat(normal, num_rays, axis=0))
-    origin = mi.Point3f(vectors_from_rows(np.repeat(position_m, num_rays, axis=0)))
-    sample = np.random.default_rng(seed).random((2, dr.width(n))).astype(np.float32)
-    local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(*(mi.Float(aligned(u)) for u in sample)))
-    return mi.Ray3f(origin + n * dr.opaque(mi.Float, start_m), mi.Frame3f(n).to_world(local))
-
-
 class MetalSample(NamedTuple):
     """Random numbers of a reflection at metal: ``half`` in [0, 1)^2 selects the half vector; ``guide`` and
     ``emitter`` are the arguments (number, point) of the sampling methods.
@@ -118,6 +103,17 @@ class Baker:
         self._sampler = EmitterSampler(field.emitters)
         rectangles = bright_rectangles(field.cells)
         self.guide = BrightGuide(rectangles) if rectangles else None
+
+    def cosine_rays(self, position_m: NDArray, normal: NDArray, num_rays: int, seed: int) -> Any:
+        """Cosine-distributed rays (``mi.Ray3f``), ``num_rays`` from each of N points in turn."""
+        import drjit as dr
+        import mitsuba as mi
+
+        n = vectors_from_rows(np.repeat(normal, num_rays, axis=0))
+        origin = mi.Point3f(vectors_from_rows(np.repeat(position_m, num_rays, axis=0)))
+        sample = np.random.default_rng(seed).random((2, dr.width(n))).astype(np.float32)
+        local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(*(mi.Float(aligned(u)) for u in sample)))
+        return mi.Ray3f(origin + n * self._offset, mi.Frame3f(n).to_world(local))
 
     def irradiance(self, position_m: NDArray, normal: NDArray, num_rays: int, seed: int = 0) -> Irradiance:
         """Irradiance at points (N, 3) with unit normals (N, 3), from ``num_rays`` rays each."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from datagen.foundation.color import luminance
 from datagen.light.background import FAR, NEAR, Background, Layout
-from datagen.light.bake import Baker, cosine_rays
+from datagen.light.bake import Baker
 from datagen.light.cells import side_of
 from datagen.light.surfels import NUM_SIDES, Surfels
 
@@ -93,7 +93,7 @@ def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray, sunlight: NDAr
     position, normal = surfels.position_m[::step], surfels.normal[::step]
     whole = luminance(baker.irradiance(position, normal, RAYS).diffuse.astype(np.float64))
     whole += luminance(sunlight[::step].astype(np.float64))
-    estimated = baker.field.estimated(cosine_rays(position, normal, RAYS, baker.start_m, seed=3))
+    estimated = baker.field.estimated(baker.cosine_rays(position, normal, RAYS, seed=3))
     group = np.where(
         estimated.background_bin >= 0,
         background_groups(baker.field.background.layout)[estimated.background_bin],

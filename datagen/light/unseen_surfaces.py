@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.geometry.traced import smooth_regions
-from datagen.light.bake import Baker, cosine_rays
+from datagen.light.bake import Baker
 from datagen.light.cells import surface_cells
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import Surfels, grouped_medians
@@ -93,7 +93,7 @@ def _unknown_surface(baker: Baker, surfels: Surfels) -> tuple[NDArray, NDArray, 
     """
     step = max(1, len(surfels) // MAX_ESTIMATED_SURFELS)
     origin, normal = surfels.position_m[::step], surfels.normal[::step]
-    ray = cosine_rays(origin, normal, ESTIMATE_RAYS_PER_SURFEL, baker.start_m, seed=0)
+    ray = baker.cosine_rays(origin, normal, ESTIMATE_RAYS_PER_SURFEL, seed=0)
     position, facing, face = baker.field.unknown_hits(ray)
     keys, first = np.unique(surface_cells(surfels.grid, position, facing), return_index=True)
     chosen = first[keys >= 0]

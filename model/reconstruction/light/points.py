@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
-from datagen.light.bake import cosine_rays
 from datagen.light.lighting import Lit
 from datagen.light.surfels import Surfels, weighted_medians
 from mitsuba_plugins.arrays import rows_from_vectors
@@ -297,7 +296,7 @@ def outgoing_radiance(
     diffuse = np.maximum(diffuse, MIN_DIFFUSE * surfels.radiance)
     surfel = np.repeat(np.arange(len(surfels)), NUM_DIRECTIONS)
     position, normal = surfels.position_m[surfel], surfels.normal[surfel]
-    ray = cosine_rays(surfels.position_m, surfels.normal, NUM_DIRECTIONS, lit.baker.start_m, _SEED)
+    ray = lit.baker.cosine_rays(surfels.position_m, surfels.normal, NUM_DIRECTIONS, _SEED)
     view = rows_from_vectors(ray.d)
     shading = lit.baker.specular(position, normal, view, roughness[surfel], RAYS, _SEED).extrapolated()
     leaving = specular_albedo[surfel] * shading.ls0 + shading.ls1
