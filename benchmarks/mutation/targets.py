@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
-import yaml
-from pydantic import TypeAdapter
+from datagen.foundation.tables import read_table
 
 
 @dataclass(frozen=True)
@@ -19,6 +17,4 @@ class Target:
     number: int = 25
 
 
-TARGETS = TypeAdapter(dict[str, Target]).validate_python(
-    yaml.safe_load(Path(__file__).with_name("targets.yaml").read_text("utf-8"))
-)
+TARGETS = read_table(__file__, "targets.yaml", dict[str, Target])

@@ -15,14 +15,11 @@ saturation of 0.45 to 0.75 in linear HSV; oil and lacquer raise it to 0.85, whit
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Literal
-
-import yaml
-from pydantic import TypeAdapter
 
 from datagen.formats.asset import MaterialClass, Surface
 from datagen.foundation.random import Draws
+from datagen.foundation.tables import read_table
 
 Finish = Literal["steel", "brass", "black"]
 Joinery = Literal["white", "wood", "dark"]
@@ -120,7 +117,5 @@ class Look:
 
 KEPT: dict[Surface, float] = {"cover": 0.7, "frame": 0.3, "joinery": 0.3}
 """Probability, by kind of surface, that a material to be replaced is kept; book covers thus stay varied."""
-LOOKS = TypeAdapter(dict[Surface, tuple[Look, ...]]).validate_python(
-    yaml.safe_load(Path(__file__).with_name("looks.yaml").read_text("utf-8"))
-)
+LOOKS = read_table(__file__, "looks.yaml", dict[Surface, tuple[Look, ...]])
 """Looks by kind of surface. Surfaces without looks, such as ``small``, take any class that suits the slot."""

@@ -11,16 +11,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from datagen.assembly.geometry import AssetGeometry
 from datagen.formats.asset import EnvironmentAsset, MaterialClass, Surface
+from datagen.foundation.tables import read_table
 
-_TABLES: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("surfaces.yaml").read_text("utf-8"))
+_TABLES = read_table(__file__, "surfaces.yaml", dict[str, Any])
 _SURFACE_OF_WORD: dict[str, Surface] = {
     w: surface for surface, words in _TABLES["words"] for w in words.split()
 }

@@ -8,14 +8,12 @@ The first name with a known word is used; within a name, later words take preced
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
-import yaml
-
 from datagen.formats.asset import MaterialClass, SupportKind
+from datagen.foundation.tables import read_table
 
-_TABLES: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("classes.yaml").read_text("utf-8"))
+_TABLES = read_table(__file__, "classes.yaml", dict[str, Any])
 
 
 def _by_word(table: str) -> dict[str, Any]:

@@ -4,11 +4,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
-import yaml
-from pydantic import TypeAdapter
-
+from datagen.foundation.tables import read_table
 from datagen.parametric import homes, workplaces
 from datagen.parametric.layout import Furnisher
 from datagen.parametric.slots import Classes
@@ -39,9 +36,7 @@ class Kind:
     steel_fronts: float = 0.0
 
 
-KINDS = TypeAdapter(dict[str, Kind]).validate_python(
-    yaml.safe_load(Path(__file__).with_name("kinds.yaml").read_text("utf-8"))
-)
+KINDS = read_table(__file__, "kinds.yaml", dict[str, Kind])
 """All kinds of room, by name."""
 
 

@@ -7,13 +7,10 @@ Plans assign materials of the library to almost all slots; the plain colours rem
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-
-import yaml
-from pydantic import TypeAdapter
 
 from datagen.formats.asset import MaterialClass, SlotMaterial, Surface
 from datagen.formats.base import UnitColor
+from datagen.foundation.tables import read_table
 
 Classes = tuple[MaterialClass, ...]
 
@@ -50,9 +47,7 @@ _METAL: UnitColor = (0.56, 0.55, 0.53)
 _BARE: UnitColor = (0.0, 0.0, 0.0)
 
 
-SLOTS = TypeAdapter(dict[str, Slot]).validate_python(
-    yaml.safe_load(Path(__file__).with_name("slots.yaml").read_text("utf-8"))
-)
+SLOTS = read_table(__file__, "slots.yaml", dict[str, Slot])
 """Slots by name; those of lamps (``glow``) and pictures (``art``) are added for each room."""
 _FINISHED = ("frame", "legs", "shade", "slats")
 

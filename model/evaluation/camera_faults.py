@@ -17,11 +17,9 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
@@ -32,6 +30,7 @@ from datagen.foundation.cameras import Camera
 from datagen.foundation.color import linear_from_srgb, srgb_from_linear
 from datagen.foundation.errors import input_error
 from datagen.foundation.random import digest
+from datagen.foundation.tables import read_table
 from model.evaluation.mesh_errors import GeometryError
 from model.reconstruction.captures.photographs import CLIPPED_LEVEL
 
@@ -71,7 +70,7 @@ class CameraFaults(StrictModel):
         return self
 
 
-_FAULTS = yaml.safe_load(Path(__file__).with_name("cameras.yaml").read_text("utf-8"))
+_FAULTS = read_table(__file__, "cameras.yaml", dict[str, dict[str, Any]])
 PRESETS = {
     name: CameraFaults.model_validate({"name": name, **fields})
     for name, fields in {**_FAULTS["single"], **_FAULTS["combined"]}.items()

@@ -10,13 +10,12 @@ import html
 import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from datagen.foundation.buffers import MATERIAL_MAPS
+from datagen.foundation.tables import read_table
 from model.evaluation.map_measures import QUARTERS
 from model.evaluation.noise import Figure, figure_of
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
@@ -31,7 +30,7 @@ LIGHTS = ("own", "modified", "recovered")
 VIEW_SETS = ("input", "novel")
 MAP_STAGES = {"per_view": "per view", "merged": "merged"}
 """Title of each stage of maps."""
-_PUBLISHED: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("published.yaml").read_text("utf-8"))
+_PUBLISHED = read_table(__file__, "published.yaml", dict[str, Any])
 _SHOWN = {"psnr_srgb_db": "PSNR sRGB (dB)", "dssim": "DSSIM = 1-SSIM"}
 _ALL = {
     "psnr_srgb_db": ("PSNR, clipped sRGB, range 1 (dB)", 2),
