@@ -40,8 +40,7 @@ def radiator(style: Style, draws: Draws, width: float, height: float) -> Item:
             item.add("radiator", tube([(x, y, 0.0), (x, y, height)], 0.0165, 8))
         for z in (0.03, height - 0.03):
             item.add("radiator", box((width, 0.06, 0.035), (0, -0.0725, z - 0.0175), 0.01))
-    for x in (-0.4 * width, 0.4 * width):
-        item.add("metal", box((0.03, 0.045, 0.03), (x, -0.0235, height - 0.08), 0.002))
+    item.pair("metal", 0.4 * width, box((0.03, 0.045, 0.03), (0, -0.0235, height - 0.08), 0.002))
     item.add("metal", cylinder(0.018, 0.07, (width / 2 + 0.03, -0.075, 0.02), 12, 0.005))
     item.add("metal", tube([(width / 2 - 0.01, -0.075, 0.03), (width / 2 + 0.03, -0.075, 0.03)], 0.008, 6))
     return item
@@ -96,8 +95,7 @@ def roller_blind(style: Style, draws: Draws, window: float, height: float) -> It
     item.add("metal", tube(roll, 0.024, 12))
     item.add("blind", box((window + 0.06, 0.002, drop), (0, -0.073, height + 0.06 - drop), 0.0))
     item.add("blind", box((window + 0.06, 0.012, 0.024), (0, -0.073, height + 0.06 - drop - 0.022), 0.004))
-    for x in (-window / 2 - 0.1, window / 2 + 0.1):
-        item.add("metal", box((0.012, 0.075, 0.07), (x, -0.038, height + 0.025), 0.003))
+    item.pair("metal", window / 2 + 0.1, box((0.012, 0.075, 0.07), (0, -0.038, height + 0.025), 0.003))
     return item
 
 
@@ -116,8 +114,7 @@ def slatted_blind(style: Style, draws: Draws, window: float, height: float) -> I
     item.add("slats", box((w, 0.05, 0.016), (0, -0.05, z - 0.012), 0.003))
     for x in (-0.36 * w, 0.36 * w):
         item.add("slats", tube([(x, -0.05, z), (x, -0.05, height + 0.04)], 0.0012, 4))
-    for x in (-w / 2 - 0.008, w / 2 + 0.008):
-        item.add("slats", box((0.014, 0.076, 0.05), (x, -0.0385, height + 0.028), 0.003))
+    item.pair("slats", w / 2 + 0.008, box((0.014, 0.076, 0.05), (0, -0.0385, height + 0.028), 0.003))
     return item
 
 
@@ -133,8 +130,8 @@ def rug(style: Style, draws: Draws, width: float, depth: float, is_round: bool =
         item.add("rug", box((width - 2 * b, depth - 2 * b, 0.0085), (0, -depth / 2, 0), 0.001, grain=0))
         for y in (-b / 2, -depth + b / 2):
             item.add("rug_border", box((width, b, 0.009), (0, y, 0), 0.003, grain=0))
-        for x in (-width / 2 + b / 2, width / 2 - b / 2):
-            item.add("rug_border", box((b, depth - 2 * b, 0.009), (x, -depth / 2, 0), 0.003, grain=1))
+        side = box((b, depth - 2 * b, 0.009), (0, -depth / 2, 0), 0.003, grain=1)
+        item.pair("rug_border", width / 2 - b / 2, side)
     else:
         item.add("rug", box((width, depth, 0.009), (0, -depth / 2, 0), 0.004, grain=0))
     return item
@@ -161,8 +158,8 @@ def _framed(
     for z in (0.0, height - rim):
         item.add("frame", box((width, depth, rim), (0, ys[0], z), bevel, grain=0))
     inner, low = height - 2 * rim + 0.001, rim - 0.0005
-    for x in (-width / 2 + rim / 2, width / 2 - rim / 2):
-        item.add("frame", box((rim, depth - 0.0001, inner), (x, ys[0], low), bevel, grain=2))
+    upright = box((rim, depth - 0.0001, inner), (0, ys[0], low), bevel, grain=2)
+    item.pair("frame", width / 2 - rim / 2, upright)
     item.add(slot, box((width - 2 * rim + 0.001, 0.006, inner), (0, ys[1], low), 0.0))
 
 
@@ -179,8 +176,7 @@ def board(style: Style, draws: Draws, width: float, height: float, slot: str) ->
     rim = "metal" if slot == "white_board" else "second"
     for z in (0.0, height - 0.02):
         item.add(rim, box((width, 0.02, 0.02), (0, -0.011, z), 0.003, grain=0))
-    for x in (-width / 2 + 0.01, width / 2 - 0.01):
-        item.add(rim, box((0.02, 0.0198, height - 0.04), (x, -0.011, 0.02), 0.003))
+    item.pair(rim, width / 2 - 0.01, box((0.02, 0.0198, height - 0.04), (0, -0.011, 0.02), 0.003))
     item.add(slot, box((width - 0.039, 0.01, height - 0.039), (0, -0.008, 0.0195), 0.0))
     if slot == "white_board":
         item.add("metal", box((0.5, 0.06, 0.008), (0, -0.049, -0.0085), 0.002))

@@ -102,6 +102,10 @@ class Item:
             shift = _PATTERN_M * ((len(self.shapes) + 1) * _STEP % 1.0)
             self.shapes.append((slot, shape.shifted_uv(float(shift[0]), float(shift[1]))))
 
+    def pair(self, slot: str, reach: float, shape: Shape) -> None:
+        """Append a shape twice, moved by ``reach`` metres to the left and to the right."""
+        self.add(slot, shape.moved(-reach), shape.moved(reach))
+
     def support(
         self,
         kind: SupportKind,

@@ -122,8 +122,7 @@ def batten(draws: Draws, slot: str) -> Item:
     """Make a fluorescent tube on a ceiling batten."""
     item, length = Item("batten_lamp", hold="ceiling"), 1.5
     item.add("radiator", box((length, 0.07, 0.05), (0, 0, -0.05), 0.006))
-    for x in (-length / 2 + 0.02, length / 2 - 0.02):
-        item.add("radiator", box((0.03, 0.05, 0.05), (x, 0, -0.098), 0.004))
+    item.pair("radiator", length / 2 - 0.02, box((0.03, 0.05, 0.05), (0, 0, -0.098), 0.004))
     item.add(slot, tube([(-length / 2 + 0.036, 0, -0.078), (length / 2 - 0.036, 0, -0.078)], 0.014, 12))
     item.places.append(LampPlace((0, 0, -0.1), (0.9 * length, 0.06)))
     area = 2 * math.pi * 0.014 * length

@@ -39,9 +39,8 @@ def chair(style: Style, draws: Draws) -> Item:
         item.add(frame, tube([(x, y, z) for y, z in path], 0.0165, 10))
     for y in (-d + 0.02, -0.055):
         item.add(frame, box((w - 0.04, 0.02, 0.05), (0, y, seat_height - 0.08), 0.003, grain=0))
-    for side in (-1, 1):
-        at = (side * (w / 2 - 0.02), -d / 2 - 0.015, seat_height - 0.08)
-        item.add(frame, box((0.02, d - 0.09, 0.045), at, 0.003))
+    at = (0, -d / 2 - 0.015, seat_height - 0.08)
+    item.pair(frame, w / 2 - 0.02, box((0.02, d - 0.09, 0.045), at, 0.003))
     at = (0, -d / 2 - 0.0275, seat_height - 0.029)
     if back == "soft" or draws.chance(0.5):
         item.add("seat", rounded_box((w, d - 0.055, 0.06), 0.022, at, 2, 0.008))
@@ -169,13 +168,12 @@ def bed(style: Style, draws: Draws, width: float, is_child: bool = False) -> Ite
     elif kind == "board":
         item.add("wood", box((w + 0.02, 0.035, head), (0, -0.03, 0), 0.008, grain=0))
     else:
-        for x in (-w / 2 + 0.02, w / 2 - 0.02):
-            item.add(frame, box((0.05, 0.05, head), (x, -0.03, 0), 0.006, grain=2))
+        item.pair(frame, w / 2 - 0.02, box((0.05, 0.05, head), (0, -0.03, 0), 0.006, grain=2))
         for z in np.linspace(level + 0.12, head - 0.09, 4):
             item.add(frame, box((w - 0.05, 0.02, 0.07), (0, -0.03, float(z)), 0.004, grain=0))
     y0 = -0.075 if kind != "soft" else -0.115
-    for x in (-w / 2 + 0.014, w / 2 - 0.014):
-        item.add(frame, box((0.028, length - 0.04, 0.17), (x, y0 - length / 2, level - 0.12), 0.004, grain=1))
+    rail = box((0.028, length - 0.04, 0.17), (0, y0 - length / 2, level - 0.12), 0.004, grain=1)
+    item.pair(frame, w / 2 - 0.014, rail)
     item.add(frame, box((w - 0.057, 0.028, 0.17), (0, y0 - length + 0.03, level - 0.12), 0.004, grain=0))
     item.add("wood", box((w - 0.06, length - 0.08, 0.02), (0, y0 - length / 2, level - 0.04), 0.0))
     for x, y in product((-w / 2 + 0.05, w / 2 - 0.05), (y0 - 0.06, y0 - length + 0.08)):

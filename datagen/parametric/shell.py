@@ -235,9 +235,8 @@ def _window(window: Window) -> Item:
         item.add("sill", box((w - 0.002, y - 0.03, 0.0305), at, 0.0005, grain=0))
         item.support("sill", (0, y / 2 - 0.05), (w - 0.12, y - 0.02), 0.0015, 0.45)
     foot = 0.001 if window.sill > 0.3 else 0.0
-    for side in (-1, 1):
-        at = (side * (w / 2 + 0.03), -0.009, foot)
-        item.add("trim", box((0.07, 0.018, h + 0.012 - foot), at, 0.004, grain=2))
+    upright = box((0.07, 0.018, h + 0.012 - foot), (0, -0.009, foot), 0.004, grain=2)
+    item.pair("trim", w / 2 + 0.03, upright)
     item.add("trim", box((w + 0.16, 0.022, 0.075), (0, -0.011, h + 0.012), 0.005, grain=0))
     return item
 
@@ -256,8 +255,7 @@ def _door(door: Door, panels: str) -> Item:
         for r in range(3):
             z = 0.75 + r * (h - 0.95) / 3
             item.add("opal", box((w - 0.3, 0.004, (h - 0.95) / 3 - 0.05), (0, -0.0195, z), 0.001))
-    for side in (-1, 1):
-        item.add("trim", box((0.08, 0.03, h + 0.01), (side * (w / 2 + 0.0415), -0.015, 0), 0.005, grain=2))
+    item.pair("trim", w / 2 + 0.0415, box((0.08, 0.03, h + 0.01), (0, -0.015, 0), 0.005, grain=2))
     item.add("trim", box((w + 0.18, 0.034, 0.08), (0, -0.017, h + 0.01), 0.005, grain=0))
     x = -door.hinge * (w / 2 - 0.07)
     item.add("metal", box((0.042, 0.006, 0.2), (x, -0.0205, 0.94), 0.002))

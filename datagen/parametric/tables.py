@@ -31,8 +31,8 @@ def table(
         z = under - rail + 0.0005
         for y in (-depth + inset + t / 2, -inset - t / 2):
             item.add(slot, box((width - 2 * inset - t, 0.02, rail), (0, y, z), 0.002, grain=0))
-        for x in (-width / 2 + inset + t / 2, width / 2 - inset - t / 2):
-            item.add(slot, box((0.02, depth - 2 * inset - t, rail), (x, middle, z), 0.002, grain=1))
+        side = box((0.02, depth - 2 * inset - t, rail), (0, middle, z), 0.002, grain=1)
+        item.pair(slot, width / 2 - inset - t / 2, side)
     elif base == "trestle":
         for x in (-width / 2 + 0.25, width / 2 - 0.25):
             item.add(slot, box((0.07, depth - 0.1, 0.05), (x, middle, under - 0.05), 0.004, grain=1))
@@ -41,8 +41,8 @@ def table(
                 item.add(slot, box((0.06, 0.06, under - 0.09), (x, y, 0.042), 0.004, grain=2))
         item.add(slot, box((width - 0.5, 0.035, 0.08), (0, middle, 0.3), 0.004, grain=0))
     else:
-        for x in (-width / 2 + 0.06, width / 2 - 0.06):
-            item.add(slot, box((0.045, depth - 0.08, under + 0.0005), (x, middle, 0), 0.004, grain=2))
+        side = box((0.045, depth - 0.08, under + 0.0005), (0, middle, 0), 0.004, grain=2)
+        item.pair(slot, width / 2 - 0.06, side)
         item.add(slot, box((width - 0.16, 0.025, 0.16), (0, middle, under - 0.16), 0.003, grain=0))
     item.support("table", (0, middle), (width - 0.06, depth - 0.06), height)
     return item
