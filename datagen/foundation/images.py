@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Reading of image files as arrays: PNG and JPEG as stored, EXR as float; encoding as PNG.
+"""Reading of image files as arrays: PNG and JPEG as stored, EXR as float; encoding as PNG and JPEG.
 
 Arrays are (H, W, C), row 0 at the top, channels in the order R G B A.
 """
 
 from __future__ import annotations
 
+import base64
+import io
 import struct
 import warnings
 from contextlib import suppress
@@ -116,6 +118,20 @@ def encode_png(pixels: NDArray[Any]) -> bytes:
     if not done:
         raise ValueError(f"cannot encode an image of shape {pixels.shape} and type {pixels.dtype} as PNG")
     return data.tobytes()
+
+
+def encode_jpeg(pixels: NDArray[np.uint8], quality: int) -> bytes:
+    """Encode 8-bit sRGB pixels (H, W, 3) as JPEG of ``quality`` 1 to 95."""
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, "JPEG", quality=quality)
+    return stream.getvalue()
+
+
+def data_url(image: bytes, kind: str = "png") -> str:
+    """URL that contains an image file of type ``kind``, ``png`` or ``jpeg``."""
+    return f"data:image/{kind};base64,{base64.b64encode(image).decode()}"
 
 
 def read_ldr(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG")) -> NDArray[Any]:

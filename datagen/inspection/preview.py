@@ -7,9 +7,7 @@ few seconds until the run has ended.
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 import time
 from contextlib import suppress
 from importlib.resources import files
@@ -22,7 +20,7 @@ from datagen.formats.base import read_json, write_bytes_atomically
 from datagen.formats.view import ViewRecord
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view
-from datagen.foundation.images import shown_bytes
+from datagen.foundation.images import data_url, encode_jpeg, shown_bytes
 from datagen.foundation.progress import duration
 
 PREVIEW_FILE = "preview.html"
@@ -106,6 +104,4 @@ def _picture(beauty: np.ndarray, exposure: float) -> str:
 
     picture = Image.fromarray(shown_bytes(beauty, exposure))
     picture.thumbnail((_WIDTH_PX, _WIDTH_PX))
-    stream = io.BytesIO()
-    picture.save(stream, "JPEG", quality=85)
-    return "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode()
+    return data_url(encode_jpeg(np.asarray(picture), 85), "jpeg")

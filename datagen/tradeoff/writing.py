@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import base64
 import csv
 import html
 import io
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from datagen.formats.base import canonical_json, write_bytes_atomically
+from datagen.foundation.images import data_url
 from datagen.tradeoff.selection import Point, as_row, comparable, front_of, points_of
 from datagen.tradeoff.settings import SWEEPS, Setting
 from datagen.tradeoff.trial import STAGES, Trial
@@ -246,8 +246,7 @@ def _page(results: Results, points: Sequence[Point], figures: dict[str, bytes]) 
         parts += [f"<h2>Recommended</h2><p>{html.escape(text)}</p>", table]
     for name, title in (("front.png", "Pareto front"), ("sweeps.png", "One field at a time")):
         if name in figures:
-            source = base64.b64encode(figures[name]).decode()
-            parts.append(f'<h2>{title}</h2><img alt="{title}" src="data:image/png;base64,{source}">')
+            parts.append(f'<h2>{title}</h2><img alt="{title}" src="{data_url(figures[name])}">')
     parts += ["<h2>Pareto-optimal settings</h2>", _table(front_of(points, results.base), results.base)]
     parts += ["<h2>All settings</h2>", _table(points, results.base)]
     body = "\n".join(parts)

@@ -29,6 +29,7 @@ from datagen.formats.capture import Capture, ColorImage, ImageSource
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import linear_from_srgb, srgb_from_linear
 from datagen.foundation.errors import input_error
+from datagen.foundation.images import encode_jpeg
 from datagen.foundation.random import digest
 from datagen.foundation.tables import read_table
 from model.evaluation.mesh_errors import GeometryError
@@ -227,7 +228,6 @@ def _distorted(color: NDArray, camera: Camera, k1: float) -> NDArray[np.float64]
 def _as_jpeg(encoded: NDArray, quality: int) -> NDArray[np.float64]:
     from PIL import Image
 
-    stream = io.BytesIO()
-    Image.fromarray(np.round(encoded * 255).astype(np.uint8)).save(stream, "JPEG", quality=quality)
-    with Image.open(stream) as image:
+    data = encode_jpeg(np.round(encoded * 255).astype(np.uint8), quality)
+    with Image.open(io.BytesIO(data)) as image:
         return np.asarray(image, np.float64) / 255

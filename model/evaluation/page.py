@@ -6,9 +6,7 @@ chart of errors by kind of surface, all pictures; and the tables.
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -17,6 +15,7 @@ from numpy.typing import NDArray
 
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.color import cividis
+from datagen.foundation.images import data_url, encode_jpeg
 from model.evaluation.charts import confidence_svg, hue, overview_svg
 from model.evaluation.metrics import shown
 from model.evaluation.pictures import COLUMNS, TRUTH, Row, map_pixels, rendered_views, small
@@ -274,7 +273,8 @@ def _all_pictures(scene: SceneResult, rows: Sequence[Row]) -> str:
                 cells.append("<td>none</td>")
                 continue
             text = html.escape(f"{scene.name}, {row.label}: {column}", quote=True)
-            cells.append(f'<td><img alt="{text}" title="{text}" src="{_data_url(picture.pixels)}"></td>')
+            url = data_url(encode_jpeg(picture.pixels, _JPEG_QUALITY), "jpeg")
+            cells.append(f'<td><img alt="{text}" title="{text}" src="{url}"></td>')
         lines.append(f"<tr><th>{html.escape(row.label)}</th>{''.join(cells)}</tr>")
     views = ", ".join(f"{kind} {name}" for kind, name in scene.figure_views.items())
     return (
@@ -286,12 +286,4 @@ def _all_pictures(scene: SceneResult, rows: Sequence[Row]) -> str:
 
 def _picture(values: NDArray) -> str:
     """Data URL of an image of ``values`` (H, W, 3) in [0, 1]."""
-    return _data_url(small(values, _WIDTH_PX))
-
-
-def _data_url(pixels: NDArray[np.uint8]) -> str:
-    from PIL import Image
-
-    stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, "JPEG", quality=_JPEG_QUALITY)
-    return f"data:image/jpeg;base64,{base64.b64encode(stream.getvalue()).decode()}"
+    return data_url(encode_jpeg(small(values, _WIDTH_PX), _JPEG_QUALITY), "jpeg")

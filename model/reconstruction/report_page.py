@@ -4,16 +4,14 @@ maps, cost of the stages."""
 
 from __future__ import annotations
 
-import base64
 import html
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.foundation.color import cividis, srgb_from_linear
-from datagen.foundation.images import encode_png
+from datagen.foundation.images import data_url, encode_png
 from model.reconstruction.found_lights import light_cells
 from model.reconstruction.infer_options import InferReport
 from model.reconstruction.stages import ViewPicture
@@ -82,7 +80,7 @@ def _confidence(light: dict[str, Any], pictures: Sequence[ViewPicture]) -> str:
     means = " ".join(f"{name} {value:.2f}" for name, value in zip("DSR", light["confidence"], strict=True))
     bar = np.array(cividis(), np.uint8)[None].repeat(8, axis=0)
     cells = "".join(
-        f'<img alt="{html.escape(f"{picture.name}: {text}", quote=True)}" src="{_data_url(pixels)}">'
+        f'<img alt="{html.escape(f"{picture.name}: {text}")}" src="{data_url(encode_png(pixels))}">'
         for picture in pictures
         for text, pixels in (
             ("photograph", picture.photograph),
@@ -94,7 +92,7 @@ def _confidence(light: dict[str, Any], pictures: Sequence[ViewPicture]) -> str:
         "<h2>Confidence</h2><p>How far the photographed light, rather than the network, determines the "
         f"materials; means over the surface: {means}. Below: photograph, diffuse albedo, confidence of D; "
         "<code>atlas/confidence.png</code> has D, S and R by texel.</p>"
-        f'<div class="scale">0, unknown <img alt="" src="{_data_url(bar)}"> 1, determined</div>'
+        f'<div class="scale">0, unknown <img alt="" src="{data_url(encode_png(bar))}"> 1, determined</div>'
         f'<div class="views">{cells}</div>'
     )
 
@@ -113,7 +111,3 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     head = "".join(f"<th>{html.escape(text)}</th>" for text in heads)
     body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
     return f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'
-
-
-def _data_url(pixels: NDArray[np.uint8]) -> str:
-    return f"data:image/png;base64,{base64.b64encode(encode_png(pixels)).decode()}"

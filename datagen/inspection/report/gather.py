@@ -7,7 +7,6 @@ interrupted report reuses them.
 
 from __future__ import annotations
 
-import io
 import json
 import shutil
 from collections import Counter
@@ -29,7 +28,7 @@ from datagen.formats.view import StatisticsRecord, ViewRecord
 from datagen.foundation.buffers import MATERIAL_MAPS, surface_pixels
 from datagen.foundation.color import clipped_share, luminance, photographic_exposure
 from datagen.foundation.errors import input_error
-from datagen.foundation.images import shown_bytes
+from datagen.foundation.images import encode_jpeg, shown_bytes
 from datagen.inspection.contact_sheet import COLUMNS
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, count_metal_and_gloss, count_view
 from datagen.inspection.report.tiles import write_script, write_tile
@@ -207,9 +206,8 @@ def _write_thumbnail(path: Path, view: View) -> None:
     size = (shown, max(1, round(height * shown / width)))
     exposure = photographic_exposure(beauty, surface_pixels(view.buffers))
     screen = shown_bytes(beauty, exposure)
-    stream = io.BytesIO()
-    Image.fromarray(screen).resize(size, Image.Resampling.BOX).save(stream, "JPEG", quality=82)
-    write_bytes_atomically(path, stream.getvalue(), parents=True)
+    small = np.asarray(Image.fromarray(screen).resize(size, Image.Resampling.BOX))
+    write_bytes_atomically(path, encode_jpeg(small, 82), parents=True)
 
 
 def _write_tiles(folder: Path, view: View) -> int:
