@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checks that file names in untrusted files refer to permitted files.
+"""Checks that file names in untrusted files refer to permitted files, and checks of output folders.
 
 A name is relative to the folder of its file and must stay inside, even when links are followed. Absolute
 names and names with ``..`` need folders that the user allows explicitly.
@@ -87,3 +87,16 @@ def inside(root: Path, path: Path) -> Path:
         expected = "a regular file" if fault == "not a regular file" else f"a file in {root}"
         raise InputError(Problem(path, "", fault, expected, "copy the file there"))
     return path
+
+
+def output_problems(out: Path, is_earlier: bool, earlier: str) -> list[Problem]:
+    """Problems of an output folder ``out``: a file, or a folder with files unless it ``is_earlier`` output.
+
+    ``earlier`` describes such a folder.
+    """
+    if out.exists() and not out.is_dir():
+        return [Problem(out, "--out", "a file", "a folder", "choose another --out")]
+    if out.is_dir() and any(out.iterdir()) and not is_earlier:
+        got, expected = "a folder with other files", f"an empty folder, or {earlier}"
+        return [Problem(out, "--out", got, expected, "choose another --out")]
+    return []

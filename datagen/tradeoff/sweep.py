@@ -28,6 +28,7 @@ from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomica
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import QUALITIES
 from datagen.foundation.errors import Problem, Problems, input_error, raise_problems
+from datagen.foundation.paths import output_problems
 from datagen.foundation.versions import pixel_versions
 from datagen.library import Library
 from datagen.tradeoff.reference import MAX_SAMPLES, Reference, make_reference, reference_key, sized
@@ -175,12 +176,7 @@ class Sweep:
 
 def _check(out: Path, options: SweepOptions) -> None:
     """Raise :class:`InputError` with all faults of the output folder and the options."""
-    problems = []
-    if out.exists() and not out.is_dir():
-        problems.append(Problem(out, "--out", "a file", "a folder", "choose another --out"))
-    elif out.is_dir() and any(out.iterdir()) and not (out / "references").is_dir():
-        expected = "an empty folder, or one of an earlier sweep"
-        problems.append(Problem(out, "--out", "a folder with other files", expected, "choose another --out"))
+    problems = output_problems(out, (out / "references").is_dir(), "one of an earlier sweep")
     if min(options.size) < MIN_SIDE_PX or max(options.size) > MAX_SIDE_PX:
         got, expected = "{} x {}".format(*options.size), f"sides of {MIN_SIDE_PX} ... {MAX_SIDE_PX}"
         problems.append(Problem("--size", "", got, expected, "correct it"))

@@ -31,7 +31,8 @@ from datagen.formats.base import write_bytes_atomically
 from datagen.formats.shard import INDEX_FILE, Dataset, DatasetIndex
 from datagen.foundation.buffers import BUFFERS, MIN_COVERAGE
 from datagen.foundation.color import LUMINANCE_WEIGHTS, cividis
-from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.errors import InputError, input_error, raise_problems
+from datagen.foundation.paths import output_problems
 from datagen.foundation.progress import Bars, Progress
 from datagen.inspection.contact_sheet import COLUMNS
 from datagen.inspection.report import summary
@@ -115,8 +116,8 @@ def write_report(
     if not index.shards:
         remedy = "render the plan first: datagen run"
         raise input_error(folder / INDEX_FILE, "", "no shards", "at least one", remedy)
-    _check_out(out)
-    out.mkdir(parents=True, exist_ok=True)
+    raise_problems(output_problems(out, (out / "gathered").is_dir(), "an earlier report"))
+    (out / "gathered").mkdir(parents=True, exist_ok=True)
     found = None
     if options.check:
         found = verify_dataset(folder, library, options.workers, partial(progress, "verify"))
@@ -192,15 +193,6 @@ def _remove_obsolete(out: Path, methods: Iterable[Method], configurations: set[s
                 shutil.rmtree(path)
             elif path.stem not in names:
                 path.unlink()
-
-
-def _check_out(out: Path) -> None:
-    if out.exists() and not out.is_dir():
-        raise input_error(out, "--out", "a file", "a folder", "choose another --out")
-    if out.is_dir() and any(out.iterdir()) and not (out / "gathered").is_dir():
-        expected = "an empty folder, or an earlier report"
-        raise input_error(out, "--out", "a folder with other files", expected, "choose another --out")
-    (out / "gathered").mkdir(parents=True, exist_ok=True)
 
 
 Job = TypeVar("Job", GatherJob, CompareJob)

@@ -23,9 +23,10 @@ from datagen.formats.asset import EnvironmentAsset, ObjectAsset
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.package import Package, is_package, open_package
 from datagen.foundation.color import cividis
-from datagen.foundation.errors import input_error
+from datagen.foundation.errors import input_error, raise_problems
 from datagen.foundation.meshes.mesh import Mesh, joined, vertex_normals
 from datagen.foundation.meshes.ply import read_ply
+from datagen.foundation.paths import output_problems
 from datagen.foundation.progress import Advance, no_advance
 from model.reconstruction.atlas_page.sources import page_sources
 from model.reconstruction.atlas_page.textures import AtlasState, material_images, read_state
@@ -58,7 +59,8 @@ def write_view(
     The mask of observed texels and the confidence are read from the folder ``atlas`` next to the package, if
     present. Raises :class:`InputError` for other input, or if ``out`` contains other files.
     """
-    _check_out(out)
+    is_page = out.is_dir() and {path.name for path in out.iterdir()} <= {*PAGE_FILES, "data"}
+    raise_problems(output_problems(out, is_page, "an earlier page"))
     notes: list[str] = []
     previews: dict[str, str] = {}
     large: set[Path] = set()
@@ -116,14 +118,6 @@ def write_view(
     triangles = sum(len(mesh.faces) for mesh in slots.values())
     num_bytes = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
     return ViewResult(out / "index.html", triangles, len(materials), num_bytes, tuple(notes))
-
-
-def _check_out(out: Path) -> None:
-    if out.exists() and not out.is_dir():
-        raise input_error(out, "--out", "a file", "a folder", "choose another --out")
-    if out.is_dir() and {path.name for path in out.iterdir()} - {*PAGE_FILES, "data"}:
-        expected = "an empty folder, or an earlier page"
-        raise input_error(out, "--out", "a folder with other files", expected, "choose another --out")
 
 
 def _meshes_by_material(package: Package, asset: EnvironmentAsset | ObjectAsset) -> dict[str, Mesh]:
