@@ -20,11 +20,8 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
-import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
 import cv2
+import numpy as np
 
 from benchmarks.timing import markdown, write_report
 from datagen.foundation.color import exposure_for, srgb_from_linear
