@@ -399,7 +399,7 @@ def test_faults_are_named_and_the_other_pieces_imported(tmp_path: Path) -> None:
         "Test#spun: modelRotation",
         "Test#scanned: model = 'm/x.dae'",
         "Test#untextured: material 'oak' = 'Planks.PNG' (no such file)",
-        "Test#colourless: materials = material 'unheard_of'",
+        "Test#colourless: materials = missing material 'unheard_of'",
     ):
         assert sentence in messages
     assert check_library([tmp_path / "library"]).errors == ()
