@@ -61,7 +61,7 @@ def infer(
     """
     unused = {
         "--checkpoint": checkpoint is not None,
-        "--materials": options.materials != "both",
+        "--materials": options.materials != InferOptions.materials,
         "--no-filter": not options.is_filtered,
         "--no-level": not options.is_leveled,
     }

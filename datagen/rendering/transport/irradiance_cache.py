@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.rendering.transport.vertex import INVERSE_PI, facing_normal
+from mitsuba_plugins.arrays import aligned
 
 Array = Any
 
@@ -102,16 +103,6 @@ class SurfaceCells:
         return (6 * brick + orientation) * BRICK**3 + local, is_inside & (brick > 0)
 
 
-def copied(values: NDArray[Any]) -> Any:
-    """Return ``values`` (N,) as mi.Float in Dr.Jit's own memory.
-
-    Dr.Jit uses float32 arrays in place, and compiles another kernel where their memory is less aligned.
-    """
-    made: Any = mi.Float(mi.Float64(values.astype(np.float64)))
-    dr.eval(made)
-    return made
-
-
 class IrradianceCache:
     """Irradiance by cell, as sums of samples and as means for kernels.
 
@@ -176,7 +167,7 @@ class IrradianceCache:
     def _upload(self, means: NDArray[np.float64]) -> None:
         state = np.concatenate([[_UNKNOWN], np.where(self._is_thin(), _THIN, _UNIFORM)])
         self.records = mi.UInt32(self._record_of_cell)
-        self.means = copied(np.column_stack([means, state]).ravel())
+        self.means = mi.Float(aligned(np.column_stack([means, state]), np.float32))
 
     def _is_thin(self) -> NDArray[np.bool_]:
         """Mask (records,) of thin cells."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.rendering.transport.emitters import SceneEmitters
-from datagen.rendering.transport.irradiance_cache import IrradianceCache, SurfaceCells, copied
+from datagen.rendering.transport.irradiance_cache import IrradianceCache, SurfaceCells
 from datagen.rendering.transport.light_sampler import MAX_LEARNED, LightSampler
 from datagen.rendering.transport.recording import undisturbed
 from datagen.rendering.transport.sobol import OwenSobol
@@ -30,6 +30,7 @@ from datagen.rendering.transport.vertex import (
     facing_normal,
     power_heuristic,
 )
+from mitsuba_plugins.arrays import aligned
 
 if TYPE_CHECKING:
     from mitsuba_plugins.surface_material import SceneMaterials
@@ -135,7 +136,7 @@ def _camera_rays(views: list[tuple[Any, tuple[int, ...]]], num_rays: int, seed: 
         ray = rays_through(view, position)
         dr.eval(ray)
         parts.append([np.broadcast_to(np.array(value), share) for value in (*ray.o, *ray.d, ray.maxt)])
-    joined = [copied(np.concatenate(part)) for part in zip(*parts, strict=True)]
+    joined = [mi.Float(aligned(np.concatenate(part), np.float32)) for part in zip(*parts, strict=True)]
     rays: Any = mi.Ray3f(mi.Point3f(*joined[:3]), mi.Vector3f(*joined[3:6]))
     rays.maxt = joined[6]
     return rays
