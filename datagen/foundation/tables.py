@@ -16,4 +16,4 @@ _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the same values seven
 def read_table(module: str, name: str, kind: type[T]) -> T:
     """Read the YAML file ``name`` beside the file ``module`` as a ``kind``."""
     text = Path(module).with_name(name).read_text("utf-8")
-    return TypeAdapter(kind).validate_python(yaml.load(text, _LOADER))
+    return TypeAdapter(kind).validate_python(_LOADER(text).get_single_data())
