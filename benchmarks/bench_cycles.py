@@ -2,8 +2,8 @@
 """Time of our renderer and of Blender's Cycles at equal error, for a configuration of the bundled library.
 
     python -m benchmarks.bench_cycles                      40 views of 640x384 at `standard`; takes hours
-    python -m benchmarks.bench_cycles --size 160 96 --cycles-views 3 --error-views 2              18 minutes
-    python -m benchmarks.bench_cycles --seed 2023          another room
+    python -m benchmarks.bench_cycles --size 160 96 --cycles-views 4 --error-views 4              half an hour
+    python -m benchmarks.bench_cycles --seed 2022 2023     two rooms
     python -m benchmarks.bench_cycles --cycles-views 40    Cycles renders every view instead of a sample
     python -m benchmarks.bench_cycles --views 4 --size 96 64 --quality draft --out /tmp/cycles   a quick look
 
@@ -25,7 +25,9 @@ settings: Blender's defaults with a uniform sample count, Cycles' adaptive sampl
 filter. The baseline is the fastest of the three or, if none reaches the error, the one of smallest error.
 
 Results of steps are stored in --out and reused, so the same command resumes. ``--cycles-views N`` renders N
-views with Cycles; the time of 40 views is then the fixed part + 40 x the median of a view.
+views with Cycles; the time of 40 views is then the fixed part + 40 x the median of a view. So are the images
+an hour of each named quality and each sample count of Cycles found, from the error views; the figure
+``bench_cycles.png`` shows them against the error.
 """
 
 from __future__ import annotations
@@ -33,8 +35,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
-import platform
 import resource
 import shutil
 import statistics
@@ -43,21 +43,25 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from benchmarks.timing import RESULTS, launch, markdown, write_report
+from benchmarks.timing import RESULTS, launch, machine, markdown, write_report
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.formats.recipe import QUALITIES, ObjectRecipe, Recipe, RenderRecipe
 from datagen.formats.shard import ShardReader
 from datagen.foundation.color import luminance
+from datagen.foundation.exr import decode_view
 from datagen.foundation.versions import pixel_versions
 from datagen.rendering.error import relative_mse
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FIRST_SAMPLES = 4
 UNBIASED = ("--clamp", "0", "--filter-glossy", "0")
@@ -67,11 +71,11 @@ KINDS: dict[str, tuple[str, ...]] = {"fixed": (), "adaptive": ("--adaptive",), "
 MIN_TIMED = 3  # views: the first includes the fixed part, the others determine the median
 
 
-def recipe_of(arguments: argparse.Namespace) -> Recipe:
+def recipe_of(arguments: argparse.Namespace, seed: int) -> Recipe:
     """Recipe of the configuration that is rendered."""
     return Recipe(
         name="cycles",
-        seed=arguments.seed,
+        seed=seed,
         configurations=1,
         views=arguments.views,
         resolution=tuple(arguments.size),
@@ -108,9 +112,9 @@ def read_cycles(path: Path) -> NDArray[np.float32]:
 class Comparison:
     """The steps of the comparison with Cycles, in order; each stores its result in ``folder``."""
 
-    def __init__(self, arguments: argparse.Namespace):
+    def __init__(self, arguments: argparse.Namespace, seed: int):
         self.arguments = arguments
-        self.recipe = recipe_of(arguments)
+        self.recipe = recipe_of(arguments, seed)
         key = {"recipe": self.recipe.model_dump(mode="json"), "versions": pixel_versions()}
         self.folder: Path = arguments.out / sha256_hex(canonical_json(key))[:12]
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -134,26 +138,44 @@ class Comparison:
             timed("benchmarks.studies.cycles_scene", "export", str(plan), str(export), log=log)
             timed("benchmarks.studies.cycles_baseline", "build", str(export), str(blend), log=log)
 
-    def cycles(self, name: str, views: list[int], samples: int, *options: str) -> dict[str, Any]:
-        """Render ``views`` with Cycles into ``folder/name``; returns seconds by view and of other parts."""
+    def rendered(self, name: str, module: str, *command: str) -> dict[str, Any]:
+        """Run ``command`` of a module that renders views and writes ``times.json`` into ``folder/name``.
+
+        Returns seconds by view and of other parts.
+        """
         out = self.folder / name
 
         def make() -> dict[str, Any]:
-            command = ["render", str(self.folder / "room.blend"), str(out), *map(str, views)]
-            command += ["--samples", str(samples), "--max-depth", self.depth, *options]
-            run = timed("benchmarks.studies.cycles_baseline", *command, log=self.folder / f"{name}.log")
+            run = timed(module, *command, log=self.folder / f"{name}.log")
             times = json.loads((out / "times.json").read_text(encoding="utf-8"))
-            finished = times["finished"]
-            seconds = np.diff([times["loaded"], *finished]).round(4).tolist()
-            return {
-                **run,
-                "start_s": round(times["loaded"] - run["began"], 3),
-                "views_s": seconds,
-                "samples": samples,
-                "blender": times["blender"],
-            }
+            loaded = times.pop("loaded")
+            seconds = np.diff([loaded, *times.pop("finished")]).round(4).tolist()
+            return {**run, "start_s": round(loaded - run["began"], 3), "views_s": seconds, **times}
 
         return step(self.folder / f"{name}.json", make)
+
+    def cycles(self, name: str, views: list[int], samples: int, *options: str) -> dict[str, Any]:
+        """Render ``views`` with Cycles into ``folder/name``; returns what :meth:`rendered` returns."""
+        command = ["render", str(self.folder / "room.blend"), str(self.folder / name), *map(str, views)]
+        command += ["--samples", str(samples), "--max-depth", self.depth, *options]
+        return self.rendered(name, "benchmarks.studies.cycles_baseline", *command)
+
+    def quality(self, quality: str, pairs: dict[int, Any]) -> dict[str, float]:
+        """Images an hour and error of a named ``quality``, from the error views."""
+        name = f"quality_{quality}_{len(self.error_views)}"
+        command = ["quality", str(self.folder / "plan"), str(self.folder / name)]
+        command += [*map(str, self.error_views), "--quality", quality]
+        run = self.rendered(name, "benchmarks.studies.cycles_scene", *command)
+        errors = []
+        for view in self.error_views:
+            image = decode_view((self.folder / name / f"view_{view:03}.exr").read_bytes(), ["beauty"])
+            errors.append(relative_mse(image["beauty"].astype(np.float32), *pairs[view], exposed=True))
+        return {"rel_mse": float(np.mean(errors)), "images_an_hour": self.images_an_hour(run)}
+
+    def images_an_hour(self, run: dict[str, Any]) -> float:
+        """Images an hour of all views, extrapolated from a result of :meth:`rendered`."""
+        views = self.arguments.views
+        return round(3600 * views / extrapolated(run, views)["total_wall_s"], 1)
 
     # ---------------------------------------------------------------- errors
 
@@ -206,7 +228,7 @@ class Comparison:
     def cycles_at(self, target: float, pairs: dict[int, Any], kind: str) -> dict[str, Any]:
         """Time and error of Cycles at the sample count for error ``target``; ``kind`` is one of ``KINDS``."""
         arguments, options = self.arguments, KINDS[kind]
-        samples, curve = self.cycles_samples(target, pairs, kind, options)
+        samples, curve, speeds = self.cycles_samples(target, pairs, kind, options)
         count = max(MIN_TIMED, min(arguments.cycles_views, arguments.views))
         rest = [v for v in range(arguments.views) if v not in self.error_views]
         chosen = rest[:: max(1, len(rest) // max(1, count - len(self.error_views)))]
@@ -216,28 +238,31 @@ class Comparison:
         cycles = self.cycles(name, views, used, *options)
         return {
             **cycles,
+            "samples": used,
             "sampling": kind,
             "reached": samples is not None,
             "rel_mse": self.cycles_error(name, pairs),
             "curve": {str(k): v for k, v in curve.items()},
+            "images_an_hour": {str(k): v for k, v in speeds.items()},
             **extrapolated(cycles, arguments.views),
         }
 
     def cycles_samples(
         self, target: float, pairs: dict[int, Any], kind: str, options: tuple[str, ...]
-    ) -> tuple[int | None, dict[int, float]]:
-        """Find the sample count at which the error is ``target`` (None if never), and the error by count."""
+    ) -> tuple[int | None, dict[int, float], dict[int, float]]:
+        """Sample count of error ``target`` (None if not reached); errors and images an hour by count."""
         curve: dict[int, float] = {}
+        speeds: dict[int, float] = {}
         samples = FIRST_SAMPLES
         while samples <= self.arguments.max_cycles_samples:
             name = f"cycles_{kind}_{samples}_{len(self.error_views)}"
-            self.cycles(name, self.error_views, samples, *options)
-            curve[samples] = self.cycles_error(name, pairs)
+            run = self.cycles(name, self.error_views, samples, *options)
+            curve[samples], speeds[samples] = self.cycles_error(name, pairs), self.images_an_hour(run)
             print(f"cycles, {kind}, {samples} samples: relMSE {curve[samples]:.5f}", file=sys.stderr)
             if curve[samples] <= target:
-                return interpolated(curve, target), curve
+                return interpolated(curve, target), curve, speeds
             samples *= 2
-        return None, curve
+        return None, curve, speeds
 
     # ---------------------------------------------------------------- time
 
@@ -300,6 +325,7 @@ class Comparison:
                 "clamped_energy": statistics.median(r["clamped_energy"] for r in records),
                 "megabytes": num_bytes / 1e6,
             },
+            "qualities": {name: self.quality(name, pairs["ours"]) for name in arguments.qualities},
             "cycles": runs[0],
             "slower_cycles": runs[1:],
         }
@@ -337,7 +363,7 @@ def extrapolated(run: dict[str, Any], views: int) -> dict[str, float]:
 
     ``run`` is a result of ``Comparison.cycles``. Processor seconds are scaled like wall seconds.
     """
-    a_view = statistics.median(run["views_s"][1:])
+    a_view = statistics.median(run["views_s"][1:] or run["views_s"])
     leaving = run["wall_s"] - run["start_s"] - sum(run["views_s"])
     fixed = run["start_s"] + max(0.0, run["views_s"][0] - a_view) + leaving
     is_complete = len(run["views_s"]) == views
@@ -349,16 +375,6 @@ def extrapolated(run: dict[str, Any], views: int) -> dict[str, float]:
         "total_cpu_s": round(run["cpu_s"] * total / run["wall_s"], 2),
         "is_extrapolated": not is_complete,
     }
-
-
-def machine() -> dict[str, Any]:
-    """Name of the processor, and number of cores."""
-    model = platform.processor() or platform.machine()
-    information = Path("/proc/cpuinfo")
-    if information.is_file():
-        lines = information.read_text(encoding="utf-8").splitlines()
-        model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), model)
-    return {"processor": model, "cores": os.cpu_count()}
 
 
 def table(result: dict[str, Any]) -> str:
@@ -380,7 +396,8 @@ def table(result: dict[str, Any]) -> str:
          f"{cycles['total_wall_s'] / wall:.1f}")
         for name, wall, cpu, error in rows
     ]  # fmt: skip
-    lines = [f"{views} views of {width}x{height}, {machine_text}:", "", markdown(head, cells)]
+    seed = result["recipe"]["seed"]
+    lines = [f"Seed {seed}, {views} views of {width}x{height}, {machine_text}:", "", markdown(head, cells)]
     if cycles["is_extrapolated"]:
         lines += [
             "",
@@ -396,13 +413,45 @@ def table(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def figure_of(results: list[dict[str, Any]]) -> Figure:
+    """Error against images an hour of each named quality and of Cycles, with a panel per room."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.6 * len(results), 4.2), layout="constrained")
+    panels = figure.subplots(1, len(results), squeeze=False, sharex=True, sharey=True)[0]
+    for axes, result in zip(panels, results, strict=True):
+        ours, cycles = result["qualities"], result["cycles"]
+        speeds, errors = ([found[key] for found in ours.values()] for key in ("images_an_hour", "rel_mse"))
+        axes.plot(speeds, errors, "*-", ms=12, color="#009e73", label="named qualities")
+        for name, speed, error in zip(ours, speeds, errors, strict=True):
+            axes.annotate(name, (speed, error), (-6, -12), textcoords="offset points", ha="right", fontsize=9)
+        speeds, errors = list(cycles["images_an_hour"].values()), list(cycles["curve"].values())
+        axes.plot(speeds, errors, "o-", ms=4, color="#0072b2", label=f"Cycles {cycles['blender']}, samples")
+        for samples, speed, error in zip(cycles["curve"], speeds, errors, strict=True):
+            axes.annotate(samples, (speed, error), (5, 3), textcoords="offset points", fontsize=7)
+        axes.set(
+            xscale="log", yscale="log", xlabel="images an hour", title=f"seed {result['recipe']['seed']}"
+        )
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter("{x:g}")
+        axes.grid(which="both", alpha=0.25)
+    panels[0].set_ylabel("relMSE")
+    panels[0].legend(fontsize=8)
+    return figure
+
+
 def main() -> None:
-    """Run the command, which writes ``bench_cycles.json`` and ``bench_cycles.md``."""
+    """Run the command, which writes ``bench_cycles.json``, ``.md`` and ``.png``."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quality", choices=tuple(QUALITIES), default="standard")
     parser.add_argument(
-        "--seed", type=int, default=2022, help="seed of the recipe, which determines the room"
+        "--seed",
+        type=int,
+        nargs="+",
+        default=[2022],
+        help="seeds, each of which determines a room",
     )
+    parser.add_argument("--qualities", nargs="+", choices=tuple(QUALITIES), default=list(QUALITIES))
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--size", type=int, nargs=2, default=(640, 384))
     parser.add_argument("--cycles-views", type=int, default=8, help="views rendered by Cycles for timing")
@@ -414,12 +463,13 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=1, help="runs of our renderer with cached kernels")
     parser.add_argument("--out", type=Path, default=RESULTS / "cycles")
     arguments = parser.parse_args()
-    result = Comparison(arguments).run()
-    write_report(result, arguments.out / "bench_cycles.json", is_printed=False)
-    text = table(result)
+    results = [Comparison(arguments, seed).run() for seed in arguments.seed]
+    write_report(results, arguments.out / "bench_cycles.json", is_printed=False)
+    text = "\n\n".join(map(table, results))
     (arguments.out / "bench_cycles.md").write_text(text + "\n", encoding="utf-8")
+    figure_of(results).savefig(arguments.out / "bench_cycles.png", dpi=110, metadata={"Software": None})
     print(text)
-    if not agrees(result["agreement"]):
+    if not all(agrees(result["agreement"]) for result in results):
         print("the converged images differ too much: the times are not comparable", file=sys.stderr)
         raise SystemExit(1)
 

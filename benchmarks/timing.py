@@ -91,11 +91,12 @@ class Stopwatch:
 
 def machine() -> dict[str, Any]:
     """Name of the processor, number of cores, and version of Python, by name."""
-    return {
-        "processor": platform.processor() or platform.machine(),
-        "cores": os.cpu_count(),
-        "python": platform.python_version(),
-    }
+    model = platform.processor() or platform.machine()
+    information = Path("/proc/cpuinfo")
+    if information.is_file():
+        lines = information.read_text(encoding="utf-8").splitlines()
+        model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), model)
+    return {"processor": model, "cores": os.cpu_count(), "python": platform.python_version()}
 
 
 def markdown(head: Sequence[str], rows: Iterable[Iterable[object]]) -> str:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Export of a planned configuration for another renderer, and our converged images (see bench_cycles.py).
+"""Export of a planned configuration for another renderer, and our images of it (see bench_cycles.py).
 
     python -m benchmarks.studies.cycles_scene export FOLDER OUT    one package, lights, cameras, a sky
     python -m benchmarks.studies.cycles_scene reference FOLDER OUT VIEW... --samples 256
+    python -m benchmarks.studies.cycles_scene quality FOLDER OUT VIEW... --quality standard
 
 ``export`` writes the room as one asset package, exactly as our renderer renders it: every placed part with
 its assigned material, variations applied and UVs scaled. ``setup.json`` next to it contains the lights (skies
@@ -14,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,8 +31,10 @@ from datagen.formats.asset import MATERIAL_CHANNELS, EnvironmentAsset, ObjectAss
 from datagen.formats.base import canonical_json
 from datagen.formats.configuration import Configuration
 from datagen.formats.lights import EnvironmentLight, SkyLight
+from datagen.formats.recipe import QUALITIES, RenderRecipe
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.errors import Problem, raise_problems
+from datagen.foundation.exr import encode_view
 from datagen.foundation.images import encode_png, read_image
 from datagen.foundation.meshes.ply import decode_ply, encode_ply
 from datagen.library import Library
@@ -190,22 +194,40 @@ def write_references(folder: Path, out: Path, views: list[int], samples: int) ->
         write_reference(path, ("first", "second"), renderer, view, samples, "our reference")
 
 
+def render_quality(folder: Path, out: Path, views: list[int], quality: str) -> None:
+    """Write ``view_000.exr`` etc. at a named quality, and times like those of Cycles to ``times.json``."""
+    configuration, library, _ = open_folder(folder)
+    renderer = SceneRenderer(configuration, library, RenderRecipe.model_validate({"quality": quality}))
+    loaded = time.time()
+    out.mkdir(parents=True, exist_ok=True)
+    finished = []
+    for view, image in zip(views, renderer.render_views(views), strict=True):
+        (out / f"view_{view:03}.exr").write_bytes(encode_view(image.buffers, "zip"))
+        finished.append(time.time())
+    (out / "times.json").write_text(json.dumps({"loaded": loaded, "finished": finished}), encoding="utf-8")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     verbs = parser.add_subparsers(dest="verb", required=True)
-    for verb in ("export", "reference"):
+    for verb in ("export", "reference", "quality"):
         command = verbs.add_parser(verb)
         command.add_argument("folder", type=Path)
         command.add_argument("out", type=Path)
-        if verb == "reference":
+        if verb != "export":
             command.add_argument("views", type=int, nargs="+")
+        if verb == "reference":
             command.add_argument("--samples", type=int, default=256)
+        if verb == "quality":
+            command.add_argument("--quality", choices=tuple(QUALITIES), required=True)
     arguments = parser.parse_args()
     if arguments.verb == "export":
         configuration, library, _ = open_folder(arguments.folder)
         export(configuration, library, arguments.out)
-    else:
+    elif arguments.verb == "reference":
         write_references(arguments.folder, arguments.out, arguments.views, arguments.samples)
+    else:
+        render_quality(arguments.folder, arguments.out, arguments.views, arguments.quality)
 
 
 if __name__ == "__main__":

@@ -71,8 +71,9 @@ def test_both_renderers_on_a_tiny_configuration(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "benchmarks.bench_cycles", "--out", str(tmp_path), "--size", "96", "64"]
     command += ["--views", "4", "--quality", "draft", "--error-views", "2", "--reference-samples", "64"]
     command += ["--cycles-views", "3", "--max-cycles-samples", "16"]
+    command += ["--qualities", "draft", "standard"]
     subprocess.run(command, cwd=REPOSITORY, check=True, capture_output=True)
-    result = json.loads((tmp_path / "bench_cycles.json").read_text())
+    (result,) = json.loads((tmp_path / "bench_cycles.json").read_text())
     # room and light are equal; only material models and Blender's clamp differ
     assert all(0.8 < ratio < 1.2 for ratio in result["agreement"]["ratio_of_means"])
     assert min(result["agreement"]["correlation"]) > 0.9
@@ -81,6 +82,10 @@ def test_both_renderers_on_a_tiny_configuration(tmp_path: Path) -> None:
     assert 0 < result["ours"]["rel_mse"] < 0.1
     assert result["cycles"]["total_wall_s"] > result["cycles"]["a_view_wall_s"] * 4
     text = (tmp_path / "bench_cycles.md").read_text()
+    draft, standard = (result["qualities"][name] for name in ("draft", "standard"))
+    assert standard["rel_mse"] < draft["rel_mse"] < 2 * result["ours"]["rel_mse"]
+    assert min(draft["images_an_hour"], *result["cycles"]["images_an_hour"].values()) > 10
+    assert (tmp_path / "bench_cycles.png").stat().st_size > 10_000
     assert text.count("| ours") == 2 and "| Cycles" in text and "4 views of 96x64" in text
 
     steps = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.json") if path.parent != tmp_path}
