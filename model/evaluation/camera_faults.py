@@ -4,8 +4,8 @@
 The faults are applied in the order of a camera's pipeline. The lens distorts (``distortion``: the
 uncorrected k1 on normalised coordinates) and darkens the corners (``vignetting_stops``). Exposures, which
 methods do not receive, vary between images with a standard deviation of ``exposure_stops``. Photon noise
-(``white_electrons`` at the sensor's limit) and read noise (``read_electrons``) are added. Values above the
-limit are clipped: ``clipped_share`` of all pixels of all images at the common exposure. A curve steeper than
+(``white_electrons`` at saturation) and read noise (``read_electrons``) are added. Values above saturation
+are clipped: ``clipped_share`` of all pixels of all images at the common exposure. A tone curve steeper than
 sRGB's (``contrast``) encodes the image in ``bits``, optionally followed by JPEG of quality ``jpeg``. It is
 decoded as sRGB from 8 bits and as linear values from 14, as in ``materials infer``. Camera poses have errors
 of ``pose_mm`` along each axis and ``pose_deg`` about a random axis (standard deviations), and the mesh has
@@ -102,10 +102,10 @@ def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, .
 def as_taken(capture: Capture, faults: CameraFaults) -> Capture:
     """Return ``capture`` with images and poses altered by ``faults``; mesh and true maps are unchanged.
 
-    Raises :class:`InputError` for barrel distortion that draws two rays of a view to the same pixel.
+    Raises :class:`InputError` for barrel distortion so strong that no ray reaches the corners of a view.
     """
     if faults.distortion < 0:
-        # r + k1 r^3 is at most 2 / sqrt(27 |k1|)
+        # the distorted radius r + k1 r^3 is at most 2 / sqrt(27 |k1|)
         least = -4 / (27 * max(_corner_radius(view.camera) for view in capture.views) ** 2)
         if faults.distortion < least:
             expected = f"at least {least:.3g} for these fields of view"
@@ -124,7 +124,7 @@ def as_taken(capture: Capture, faults: CameraFaults) -> Capture:
 
 
 def _limit(capture: Capture, clipped_share: float) -> float:
-    """Sensor limit: the radiance that a share ``clipped_share`` of the capture's pixels exceeds."""
+    """Radiance at saturation, which the share ``clipped_share`` of the capture's pixels exceeds."""
     bright = [view.read().color.max(axis=2).ravel()[::_EVERY] for view in capture.views]
     limit = float(np.quantile(np.concatenate(bright), 1.0 - clipped_share))
     return limit if limit > 0 else 1.0
@@ -150,7 +150,7 @@ def _moved(camera: Camera, faults: CameraFaults, view: str) -> Camera:
 
 @dataclass(frozen=True)
 class _Taken:
-    """Image source of a view with faults; ``scale`` is 1 / (radiance at the sensor limit)."""
+    """Image source of a view with faults; ``scale`` is 1 / (radiance at saturation)."""
 
     source: ImageSource
     true_camera: Camera
@@ -169,7 +169,7 @@ class _Taken:
 
 
 def photographed(color: NDArray, camera: Camera, faults: CameraFaults, view: str = "") -> NDArray[np.float64]:
-    """Apply the image faults to linear ``color`` (H, W, 3) with the sensor limit 1; the result is linear."""
+    """Apply the image faults to linear ``color`` (H, W, 3), which saturates at 1; the result is linear."""
     random = _random(faults, view, "image")
     if faults.distortion:
         color = _distorted(color, camera, faults.distortion)
@@ -206,7 +206,7 @@ def _corner_radius(camera: Camera) -> float:
 
 
 def _distorted(color: NDArray, camera: Camera, k1: float) -> NDArray[np.float64]:
-    """Distort an image (H, W, 3) by x' = x (1 + k1 r^2), normalised coordinates; repeats border pixels."""
+    """Distort an image (H, W, 3) by x' = x (1 + k1 r^2) in normalised coordinates; border pixels repeat."""
     import cv2
 
     x = (np.arange(camera.width_px) + 0.5 - camera.cx_px) / camera.fx_px

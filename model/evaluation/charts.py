@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 """SVG charts of a suite: errors of maps and PSNR of re-renderings of all methods in all scenes, and errors of
-the maps by quarter of confidence. Text is in the current colour, so the charts follow the theme of a page.
+the maps by quartile of confidence. Text is in the current colour, so the charts follow the theme of a page.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ PSNR_DB = (10.0, 45.0)
 MSE = (1e-4, 1.0)
 """Range of the logarithmic panels of maps."""
 RMSE = (5e-3, 1.0)
-"""Like :data:`MSE`, of the chart of confidence."""
+"""Range of the logarithmic axes of the confidence chart."""
 _LABEL_PX, _PANEL_PX, _GAP_PX, _LINE_PX, _TOP_PX = 104, 148, 36, 9, 52
 _LABEL_LINES_PX = 28  # name of the scene and of the camera
 _INK = "#1d2127"
-_TICKS = (0.01, 0.1, 1.0)  # of the chart of confidence, like the sizes below
+_TICKS = (0.01, 0.1, 1.0)  # of the confidence chart, like the sizes below
 _AXES_PX, _AXES_HEIGHT_PX, _AXES_GAP_PX, _LEFT_PX, _AXES_TOP_PX, _BOTTOM_PX = 290, 140, 40, 34, 48, 26
 
 
@@ -56,7 +56,7 @@ def _svg(width: int, height: int, title: str, parts: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class Mark:
-    """A value with its standard error; ``is_filled`` for input views and maps, not for novel views."""
+    """Mark of a value and its standard error; filled for maps and input views, hollow for novel views."""
 
     value: float
     error: float = 0.0
@@ -65,7 +65,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class Panel:
-    """A column of the chart. ``marks`` returns the marks of a method in a scene."""
+    """A column of the chart. ``span``: range of values; ``marks`` returns a method's marks in a scene."""
 
     title: str
     span: tuple[float, float]
@@ -103,7 +103,7 @@ def _panels() -> list[Panel]:
 
 
 def overview_svg(result: SuiteResult) -> str:
-    """SVG with a block per scene and camera, in it a line per method, and a column per measure."""
+    """SVG with a block per scene and camera, a line per method in each block, and a column per measure."""
     judged = [
         (scene.name, camera, [m.model_copy(update={"camera": ""}) for m in part.methods if not m.skipped])
         for scene in result.scenes
@@ -159,7 +159,7 @@ def _mark(mark: Mark, panel: Panel, left: float, y: float, color: str) -> str:
 
 
 def confidence_svg(result: SuiteResult) -> str:
-    """SVG with a panel per map and a line per scene and method; '' if no method states its confidence."""
+    """SVG with a panel per map and a line per scene and method; '' if no method outputs a confidence."""
     lines = [
         (f"{scene.name}, {method.label}", method.calibration)
         for scene in result.scenes

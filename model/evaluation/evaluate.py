@@ -286,7 +286,7 @@ def measure(
 def _reconstruct(
     suite: Suite, scene: OpenedScene, method: Method, camera: CameraFaults | None, folder: Path, tell: Tell
 ) -> dict[str, Any]:
-    """Run ``infer`` for a method unless done; return the results in its report."""
+    """Run ``infer`` for a method unless its report exists; return the report's times and figures."""
     error = method.geometry or (camera.geometry if camera else None)
     geometry, seconds = geometry_for(scene.capture.geometry, error, scene.geometries, tell)
     capture = replace(scene.input_capture(), geometry=geometry)

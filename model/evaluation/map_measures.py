@@ -3,8 +3,8 @@
 
 All squared errors are of linear values over surface pixels and channels. ``diffuse gain``: the factor for the
 whole scene that minimises the squared error of D; ``region gain``: one such factor for each region of the
-scene, which leaves the error within regions. ``level error``: median over surface pixels of |ln(mean estimate
-/ mean truth)| of the luminance of D in their region.
+scene, which leaves the error within regions. ``level error``: |ln(mean estimate / mean truth)| of the
+luminance of D in a region, as the median over surface pixels.
 
 ``kd``, ``a'`` and ``roughness`` follow the public evaluation of IRIS (``utils/metric_brdf.py``), the source
 of FIPT's figures: PSNR of whole views in 8-bit values, with emitters (and, for kd, all pixels of roughness
@@ -62,8 +62,8 @@ class MapMeasures:
     ) -> None:
         """Add the maps (H, W, C) of a view, by name, with the kinds of its ``surfaces``.
 
-        ``rendered`` is the view of the recovered scene if the maps are rendered from it: pixels without its
-        surface are excluded, and its emission is compared. ``confidence`` (H, W, 3) is that of D, S and R.
+        ``rendered`` is the view of the recovered scene if the maps are rendered from it: pixels where it has
+        no surface are excluded, and its emission is compared. ``confidence`` (H, W, 3) is of D, S and R.
         """
         mask = truth.surface_mask if rendered is None else truth.surface_mask & rendered.surface_mask
         errors = {n: ((maps[n].astype(np.float64) - truth.maps[n]) ** 2).mean(axis=2) for n in MATERIAL_MAPS}
@@ -85,7 +85,7 @@ class MapMeasures:
             self._sure.append((confidence[mask].astype(np.float64), stacked))
 
     def figures(self) -> dict[str, float]:
-        """Figures by name: PSNR of maps (dB), errors of D after gains, level error, and FIPT's measures."""
+        """Figures by name: PSNR of maps (dB), errors of D after gains, level error, and measures of FIPT."""
         found = {f"{name}_psnr_db": psnr_of_mse(mse) for name, mse in self.mse().items()}
         estimate, truth, region = (np.concatenate(part) for part in zip(*self._pairs, strict=True))
         found |= level_figures(estimate, truth, region)
@@ -117,8 +117,8 @@ class MapMeasures:
     def calibration(self) -> dict[str, list[float]]:
         """Calibration of the confidence, by map; empty without confidence.
 
-        The list contains the rank correlation of confidence and negative error, then the root mean square
-        errors of four quarters of the pixels in order of increasing confidence.
+        Each list contains the rank correlation of confidence and negative error, then the root mean square
+        errors of the quartiles of the pixels in order of increasing confidence.
         """
         if not self._sure:
             return {}
@@ -138,7 +138,7 @@ class MapMeasures:
 
 def level_figures(estimate: NDArray, truth: NDArray, region: NDArray) -> dict[str, float]:
     """Scale errors of estimated D (N, 3): the best gain, the mean squared error after it and after one gain
-    per ``region`` (N,), and the median |ln(estimate / truth)| of the luminance of the pixels' regions.
+    per ``region`` (N,), and the level error (see the module's docstring).
     """
     square = (estimate**2).sum()
     gain = float((estimate * truth).sum() / square) if square > 0 else 1.0

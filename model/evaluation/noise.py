@@ -43,7 +43,7 @@ class Figure:
 
     @property
     def error(self) -> float:
-        """Standard error of both causes, NaN if unknown."""
+        """Standard error due to both causes, NaN if unknown."""
         return float(np.hypot(self.by_views, self.by_seed))
 
     @property

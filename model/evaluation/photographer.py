@@ -3,7 +3,7 @@
 
 Photographs use the view sampling of datasets (:mod:`datagen.assembly.views`): cameras at distinct positions
 in free space, at the height of a handheld camera, directed at the room's contents. The walk leads through
-free space between two photographs with similar directions, which cover what is visible from it.
+free space between two photographs of similar direction, so that these cover most surfaces visible from it.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rendering of a scenery's views to one EXR file each; existing files are kept, so a rerun resumes."""
+"""Rendering of the views of a scenery (configuration and packages) to EXR files; a rerun resumes."""
 
 from __future__ import annotations
 
@@ -75,8 +75,8 @@ class Rendering:
 class EnoughOf:
     """Criterion that stops the rendering of a view once noise hardly affects its difference from the truth.
 
-    With e, the estimated remaining error plus its standard error, and d, the difference from ``truth`` (both
-    relMSE), a view is finished when e <= ``share`` (d - remaining error).
+    A view is finished when e + s <= ``share`` (d - e), where e is the estimated relMSE due to noise, s the
+    standard error of e, and d the relMSE of the view against ``truth``.
     """
 
     truth: Mapping[str, JudgedView]

@@ -9,7 +9,7 @@ from datagen.formats.base import NonNegative, Slug, StrictModel, read_json
 from datagen.foundation.errors import InputError
 
 ViewSet = str
-"""Set of judged views: the photographs that methods use (``input``) or other views (``novel``)."""
+"""Set of views compared with the truth: photographs that methods use (``input``) or others (``novel``)."""
 Stage = str
 """Stage of maps: predicted in each view (``per_view``), or the atlas rendered in the views (``merged``)."""
 Figures = dict[str, float | None]

@@ -115,7 +115,7 @@ def _text(cell: Cell, digits: int) -> str:
 
 
 def tables_of(result: SuiteResult) -> list[Table]:
-    """Tables of a suite's result; those of further measures are omitted if empty, except that of kinds."""
+    """Tables of a suite's result; tables of further measures are omitted if empty, except errors by kind."""
     further = [_levels, _kinds, _others, _noise, _calibration, _cameras]
     found = [table for make in further if (table := make(result)).rows or table.name == "kinds"]
     return [_maps(result), *found, _rerendering(result), _images(result), _cost(result)]
@@ -130,7 +130,7 @@ def _judged(result: SuiteResult) -> list[tuple[SceneResult, MethodResult]]:
 
 
 def _titled(names: dict[str, tuple[str, int]]) -> dict[str, int]:
-    """Columns of figures by name, from their titles and decimals."""
+    """Columns, as decimals by title, of figures given as (title, decimals) by name."""
     return dict(names.values())
 
 
