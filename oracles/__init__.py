@@ -4,4 +4,4 @@
 import os
 
 VARIANT = os.environ.get("SCENE_MATERIALS_VARIANT", "llvm_ad_rgb")
-"""Mitsuba variant of the tests: that of the CPU, unless ``SCENE_MATERIALS_VARIANT`` names another."""
+"""Mitsuba variant of the tests: LLVM (CPU), unless ``SCENE_MATERIALS_VARIANT`` names another."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The bilateral solver with dense float64 matrices, for images of a few hundred pixels."""
+"""The bilateral solver (Barron and Poole 2016) with dense float64 matrices, for a few hundred pixels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 @dataclass
 class DenseSystem:
-    """Matrices of the bilateral solver for an image of P pixels in V cells of the bilateral grid.
+    """Matrices of the bilateral solver for an image of P pixels that occupy V cells of the bilateral grid.
 
     ``splat`` (V, P) sums pixels by cell; ``smoothness`` (V, V) is lambda (diag(m) - diag(n) B diag(n)), where
     B (V, V) is the blur, and n and m (V,) result from bistochastisation.
@@ -31,9 +31,9 @@ class DenseSystem:
 
 
 def build(guide: NDArray, sigma_xy: float, sigma_luma: float, sigma_chroma: float, lam: float) -> DenseSystem:
-    """Build the system of a linear RGB ``guide`` (H, W, 3) with the weight ``lam`` of smoothness.
+    """Build the system of a linear RGB ``guide`` (H, W, 3) with the smoothness weight ``lam``.
 
-    Sides of a cell: ``sigma_xy`` in pixels; ``sigma_luma``, ``sigma_chroma`` in 1/255 of the guide's maximum.
+    Cell sizes: ``sigma_xy`` in pixels; ``sigma_luma`` and ``sigma_chroma`` in 1/255 of the guide's maximum.
     """
     height, width, _ = guide.shape
     rgb = guide.astype(np.float64) / guide.max() * 255.0

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """The material model in float64 NumPy, written directly from its equations.
 
-Letters: ``wi`` and ``wo`` are the unit directions (..., 3) to viewer and light, in a local frame whose z is
+Symbols: ``wi`` and ``wo`` are the unit directions (..., 3) to viewer and light, in a local frame whose z is
 the normal; ``alpha`` the slope width; D, S (..., 3) and R (...) the material's channels. Callers round
-directions to float32 first, which separates the error of an implementation from that of its input.
+directions to float32 first, so that rounding the input does not count as an error of the implementation.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ MIN_LOBE_PROBABILITY = 0.1
 
 Array = np.ndarray
 Value = np.ndarray | np.floating | float
-"""Channels of materials, which broadcast with directions."""
+"""A channel of materials, broadcast against the directions."""
 
 
 def alpha_from_roughness(roughness: Value) -> Array:
@@ -69,7 +69,7 @@ def one_minus_cos_half(wi: Array, wo: Array) -> Array:
 
 
 def specular_lobe(wi: Array, wo: Array, alpha: Value) -> Array:
-    """D_b G1(wi) / (4 cos_i): density [1/sr] of wo if h is drawn from the visible normals."""
+    """Density [1/sr] of ``wo`` if h is drawn from the visible normals: D(h) G1(wi) / (4 cos_i)."""
     cos_i = np.where(wi[..., 2] > 0, wi[..., 2], 1.0)
     value = beckmann_d(wi + wo, alpha) * smith_g1(wi, alpha) / (4.0 * cos_i)
     return np.where((wi[..., 2] > 0) & (wo[..., 2] > 0), value, 0.0)

@@ -127,9 +127,9 @@ def render_converted(
 class Agreement:
     """Agreement of an image with its reference, computed from blurred luminance.
 
-    ``correlation``: Pearson correlation. ``median_ratio``: median ratio of pixels to those of the reference,
-    without dark pixels. ``mean_ratio``: ratio of the means. ``rel_l1``: sum of absolute differences over the
-    sum of the reference.
+    ``correlation``: Pearson correlation. ``median_ratio``: median over pixels of the ratio to the reference,
+    without dark pixels. ``mean_ratio``: ratio of the means. ``rel_l1``: sum of absolute differences, divided
+    by the sum of the reference.
     """
 
     correlation: float

@@ -25,7 +25,7 @@ GREY = SlotMaterial(diffuse_albedo=(0.5, 0.5, 0.5), specular_albedo=(0.0, 0.0, 0
 
 
 def quad(origin: Any, edge_u: Any, edge_v: Any, *, has_uv: bool = True, flip_u: bool = False) -> Mesh:
-    """Rectangle with a corner ``origin`` [m], UV (0, 0), and a front towards edge_u x edge_v."""
+    """Rectangle with normal edge_u x edge_v and corner ``origin`` [m] at UV (0, 0); ``flip_u``: (1, 0)."""
     o, u, v = (np.asarray(a, dtype=np.float64) for a in (origin, edge_u, edge_v))
     normal = np.cross(u, v)
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)

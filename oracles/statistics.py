@@ -2,9 +2,9 @@
 """Multi-view statistics in float64 NumPy, twice: pixel by pixel in plain loops, and vectorised over pixels.
 
 The loops follow the definitions literally. The vectorised version must return equal results; it also returns
-each pixel's distance from a decision that could differ in float32, and is the baseline for speed. Both are
-independent of the kernels that they check. A view is any object with ``camera``, ``color`` (H, W, 3),
-``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3) and ``surface_mask`` (H, W, 1).
+each pixel's margin to the nearest threshold, where float32 could decide differently, and is the baseline for
+speed. Both are independent of the kernels that they check. A view is any object with ``camera``, ``color``
+(H, W, 3), ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3) and ``surface_mask`` (H, W, 1).
 """
 
 from __future__ import annotations
@@ -142,16 +142,16 @@ def statistics_by_loops(
 def statistics_vectorized(
     views: Sequence[Any], index: int, options: OracleOptions
 ) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
-    """As :func:`statistics_by_loops`; also returns the margin (H, W) of each pixel's closest decision.
+    """Like :func:`statistics_by_loops`; also returns each pixel's margin (H, W) to the nearest threshold.
 
     The margin is the minimum, over all views, of
 
     - the projection's distance in pixels to the image's border (to the pixel's border if depth is tested or
       colours are fetched from the nearest pixel);
     - with bilinear fetches, the distance of the weights' sum from its limit;
-    - times 20, because their float32 errors are smaller: |n . omega| (normal, unit direction to the camera),
-      the gap between relative depth error and tolerance, and the cost gap between the last chosen and the
-      first rejected view.
+    - 20 times (since their float32 errors are smaller) |n . omega| of normal and unit direction to the
+      camera, the gap between relative depth error and tolerance, and the cost gap between the last chosen and
+      the first rejected view.
     """
     own = views[index]
     height, width = own.color.shape[:2]

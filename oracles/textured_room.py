@@ -16,7 +16,7 @@ from datagen.foundation.meshes.mesh import Mesh
 
 ROOM = ((0.0, 0.0, 0.0), (4.0, 3.0, 2.5))
 BLOCK = ((1.4, 1.1, 0.0), (2.3, 1.8, 0.8))
-MARGIN = 0.06  # of a cell
+MARGIN = 0.06  # empty border of a quad's cell in the atlas, as a share of the cell's side
 _AXES = (0, 0, 1, 1, 2, 2)
 
 
