@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Converts baked materials and gathered meshes to entries of ``asset.json`` and the files that they name."""
+"""Converts baked materials and gathered meshes to entries of ``asset.json`` and the files they refer to."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class Contents:
 
 
 def rendering_layers() -> dict[str, str]:
-    """Name of the active UV layer by material, for materials whose meshes all have the same one."""
+    """Name of the UV layer active in rendering, by material; only materials whose meshes all share it."""
     found: dict[str, set[str]] = {}
     for thing in bpy.data.objects:
         is_mesh = isinstance(thing.data, bpy.types.Mesh)

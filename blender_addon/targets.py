@@ -17,7 +17,7 @@ from .settings import ExportSettings
 class Target:
     """An asset to export.
 
-    ``tagged``: the data-block with its tags; ``owners``: names of its objects, which own its instances.
+    ``tagged``: the data-block with its tags; ``owners``: names of its objects, instancers included.
     """
 
     kind: str

@@ -105,7 +105,7 @@ class DependencyWalk:
     """Collects the dependencies of expressions from the nodes upstream in a material's tree.
 
     ``rendering_layer``: name of the active UV layer if all meshes with the material share it, else "". Nodes
-    that name it and nodes that name no layer then read the same layer.
+    with this layer's name and nodes without a name then read the same layer.
     """
 
     def __init__(

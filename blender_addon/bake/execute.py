@@ -134,7 +134,7 @@ class BakeSession:
     ) -> bpy.types.Object:
         """Create a square in the XY plane from 0 to ``side`` with UVs (4, 2) by layer at its corners.
 
-        ``active``: name of the layer that is read by nodes that name none.
+        ``active``: name of the layer that nodes without a layer name read.
         """
         mesh = self.own(bpy.data.meshes, bpy.data.meshes.new(f"{_PREFIX}plane"))
         mesh.from_pydata([(0, 0, 0), (side, 0, 0), (side, side, 0), (0, side, 0)], [], [(0, 1, 2, 3)])

@@ -35,7 +35,7 @@ class Source:
 
 
 def group_output(tree: bpy.types.NodeTree) -> bpy.types.Node | None:
-    """The output node of a group that is in effect, or None."""
+    """The active output node of a group, or None."""
     outputs = [node for node in tree.nodes if node.bl_idname == "NodeGroupOutput"]
     return next((node for node in outputs if node.is_active_output), outputs[0] if outputs else None)
 

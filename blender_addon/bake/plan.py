@@ -2,7 +2,7 @@
 """Chooses for each channel of a material how it becomes a constant or a texture. Changes no data.
 
 - constant: nothing upstream varies; the channel is evaluated once.
-- image: the channel is an image file read by a UV map; the file is used unchanged.
+- image: the channel is an image file sampled through a UV map; the file is used unchanged.
 - plane: the channel depends on UVs only; it is baked once per material on a plane.
 - mesh: the channel depends on object coordinates, attributes or transform; it is baked per mesh or instance.
 """
@@ -194,7 +194,7 @@ def force_bake(plan: MaterialPlan) -> MaterialPlan:
 
 
 def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: bool) -> PlainImage | None:
-    """The image file whose texels, read by an affine UV map, are the values of ``expression``, or None."""
+    """The image that yields ``expression`` when sampled through an affine UV map; None if there is none."""
     bare = unclamped(expression)
     is_luminance = isinstance(bare, Operation) and bare.name in ("luminance", "average")
     if is_luminance:
@@ -238,7 +238,7 @@ def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: boo
 def plain_normal(
     normals: list[tuple[Stack, bpy.types.NodeSocket]], rendering_layer: str
 ) -> PlainImage | None:
-    """The normal map that all Normal inputs read by ``rendering_layer`` without rotation; None if none."""
+    """The normal map that all Normal inputs sample by ``rendering_layer``, without rotation; else None."""
     sources = [source_of(stack, socket) for stack, socket in normals]
     node = sources[0].node
     if node is None or node.type != "NORMAL_MAP" or any(source.node != node for source in sources):

@@ -117,7 +117,7 @@ class MaterialBaker:
     ) -> BakedMaterial:
         """Bake a material on a plane of ``side`` (Blender units).
 
-        ``layer_names``: UV layers that its nodes name.
+        ``layer_names``: UV layers to which its nodes refer.
         """
         result = BakedMaterial(frame=plan.frame, window=window)
         result.channels.update(plan.images)

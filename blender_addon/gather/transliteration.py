@@ -3,7 +3,7 @@
 
 German umlauts become two letters; other accents are removed; letters that are not a base letter with an
 accent (ø, ł, ß), Greek and Cyrillic are looked up in tables. Letters of other alphabets become their code
-points, so that two such names stay distinct.
+points, so that names in them stay distinct.
 """
 
 from __future__ import annotations

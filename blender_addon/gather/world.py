@@ -15,7 +15,7 @@ from ..bake.graph import Stack, source_of, value_of
 from ..cycles import pixels_of, render_linear
 from ..problems import ERROR, ProblemList
 
-# The middle column of the format's image is +Y of its frame; that of Blender's panorama is +X of the world.
+# The centre column of an image is +Y in the asset format's environment frame, but +X of Blender's world.
 WORLD_FROM_ENVIRONMENT = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], float)
 
 

@@ -121,7 +121,7 @@ def _render_materials(
 
 def render_with_mitsuba(folder: Path, packages: Sequence[Path], python: str) -> str:
     """Render the packages with Mitsuba; returns the page's remark: sample counts, or the failure."""
-    # this interpreter if bpy is installed in it as a module, none in Blender's program
+    # by default this interpreter, if bpy is a module installed in it; inside Blender there is no default
     executable = python or ("" if bpy.app.binary_path else sys.executable)
     if not executable:
         return (
