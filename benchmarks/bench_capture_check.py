@@ -34,7 +34,7 @@ from model.reconstruction.check.capture_check import CheckReport, check_capture
 def changed(
     capture: Capture, rng: np.random.Generator, change: Callable[[np.random.Generator], NDArray]
 ) -> tuple[Capture, set[str]]:
-    """Move one camera in five by a transform (4, 4) of ``change``; returns the capture and their names."""
+    """Move one camera in five by a transform (4, 4) of ``change``; returns capture and moved views' names."""
     wrong = rng.choice(len(capture.views), max(1, len(capture.views) // 5), replace=False)
     views = list(capture.views)
     for index in wrong:
@@ -89,7 +89,7 @@ def snapped(capture: Capture, grid_m: float) -> Capture:
 
 
 def warned_views(report: CheckReport) -> set[str]:
-    """Names of the views whose edges the check warns about."""
+    """Names of the views with a warning about edges."""
     words = ("edges", "the mesh looks")
     return {view.name for view in report.views if any(word in w for w in view.warnings for word in words)}
 

@@ -31,7 +31,7 @@ TARGET_S = 10.0
 
 
 def first_pixels(folder: Path, profile: Path | None) -> None:
-    """Run the measured process, which prints each stage's name, end (epoch) and processor seconds as JSON."""
+    """Body of the measured process: print each stage's name, end (epoch) and processor seconds as JSON."""
     marks: list[tuple[str, float, float]] = [("interpreter", time.time(), time.process_time())]
 
     def mark(name: str) -> None:
@@ -73,7 +73,7 @@ def first_pixels(folder: Path, profile: Path | None) -> None:
 
 
 def passes(renderer: Any) -> dict[str, float]:
-    """Median wall seconds of a pass over 32 x 32 image cells with a newly recorded and a replayed kernel."""
+    """Median wall seconds of a pass over 32 x 32 pixels with a newly recorded and with a replayed kernel."""
     sensor = renderer.sensor(renderer.configuration.cameras[0].camera())
     found = {}
     for name in ("new recording", "replayed"):

@@ -8,8 +8,8 @@
 Without ``--capture`` the capture is a room of 24 triangles, whose geometry takes no time, so the work per
 pixel, view and texel is measured. With a rendered capture and ``--views``, its cameras are used in turn,
 moved by up to 0.3 m and rotated by up to 20 degrees per axis; the images are the capture's true albedo, lit
-from the camera, so any number of photographs needs no rendering. Weights are random without
-``--checkpoint``; only the solver's time depends on them. Writes JSON with ``--json``.
+from the camera, so no photograph needs to be rendered. Without ``--checkpoint`` the weights are random; only
+the solver's time depends on them. Writes JSON with ``--json``.
 
 Memory is stated without and with the resident pages of the atlas's files, which the system can drop.
 """

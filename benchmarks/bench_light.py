@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""Errors of the views' maps from the network, from the network with albedo scale, and from light, by room.
+"""Errors of maps by room: of the network, of the network after the albedo scale, and fitted to light.
 
     python -m benchmarks.bench_light SUITE --cache DIR [--rooms NAME ...] [--views 12 80] [--sheet FOLDER]
         [--worse-mesh] [--camera PRESET] [--ablate] [--checkpoint FILE]
 
 Renders the scenes of a suite, or reads them from the cache of ``materials evaluate``, and predicts the maps
-of their first ``--views`` photographs with the bundled network, or with ``--checkpoint``. Mean squared errors
-are over every third surface pixel along both axes, and over the metal (S above 0.2), white (D above 0.6) and
-glossy ones (R below 0.4) among them. ``--sheet`` writes a picture per room of three views: D of network,
-light and ground truth, R of light and ground truth. ``--worse-mesh`` displaces vertices by 1 cm, keeps three
-tenths of the triangles and cuts holes in 5 % of the area. ``--camera`` degrades the photographs
-(model/evaluation/camera_faults.py). ``--ablate`` adds a row for each omitted step.
+of their first ``--views`` photographs with the bundled network, or with ``--checkpoint``. *Light* fits the
+maps to the light recorded in the photographs. Mean squared errors are over every third surface pixel along
+both axes, and over the metal (S above 0.2), white (D above 0.6) and glossy pixels (R below 0.4) among these.
+``--sheet`` writes a picture per room of three views: D of network, light and ground truth, R of light and
+ground truth. ``--worse-mesh`` displaces vertices by 1 cm, keeps three tenths of the triangles and cuts holes
+in 5 % of the area. ``--camera`` degrades the photographs (model/evaluation/camera_faults.py). ``--ablate``
+adds a row for each omitted step.
 """
 
 from __future__ import annotations
@@ -103,7 +104,7 @@ def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[d
 
 
 def rows(traced: TracedCapture, run: Run, checkpoint: Path, sheet: Path | None, ablates: bool) -> None:
-    """Print a room's table rows, with those of :data:`ABLATIONS` if ``ablates``."""
+    """Print a room's rows of the table, including a row per omitted step if ``ablates``."""
     truth = [view.source.read_maps((*MATERIAL_MAPS, "surface_mask")) for view in traced.capture.views]
     name = f"{traced.capture.name} | {len(truth)}"
     source = CheckpointMaps(checkpoint)

@@ -5,13 +5,13 @@
     python -m benchmarks.bench_merge_quality sizes SHARD ... --sizes 0.5x,1x,2x,16384
     python -m benchmarks.bench_merge_quality seams SHARD ... --views 12
 
-``weights``: mean squared error of the maps from network and light before merging (``views``) and after
-merging with each choice of weights. ``sizes``: error of the true maps after merging into atlases of several
-sizes (2x: twice the side of ``auto``). ``seams``: by room and choice of weights, the errors and the mean step
-of merged D between neighbouring texels of smooth true D, where the number of views differs (``border``) and
-where it does not (``inside``). An atlas is interpolated at the surface point under each pixel's centre and
-compared with the pixel's true map; all surface pixels have equal weight. ``--json``: file for the
-errors of ``weights`` and ``sizes``.
+``weights``: mean squared error of the predicted maps before merging (``views``) and after merging with each
+choice of weights. ``sizes``: error of the true maps after merging into atlases of several sizes (2x: twice
+the side of ``auto``). ``seams``: by room and choice of weights, the errors and the mean difference of merged
+D between neighbouring texels where the true D is smooth, for texels merged from different numbers of views
+(``border``) and from equal numbers (``inside``). An atlas is interpolated at the surface point under each
+pixel's centre and compared with the pixel's true map; all surface pixels have equal weight. ``--json``: file
+for the errors of ``weights`` and ``sizes``.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ from model.reconstruction.unwrap.uv import unwrapped
 WEIGHTS: tuple[Weights, ...] = ("none", "borders", "resolution", "confidence")
 Maps = list[dict[str, NDArray]]
 MAX_TRUE_STEP = 0.004
-"""Largest difference of smooth true D, in any channel, between neighbouring texels."""
+"""Largest difference of true D between neighbouring texels, in any channel, that counts as smooth."""
 MAX_SIDE = 4096
-"""Maximum side in texels of an atlas of size ``auto``, since a landscape surrounds some rooms."""
+"""Maximum side in texels of an atlas of size ``auto``, since some rooms include a landscape outside."""
 
 
 @dataclass
@@ -61,7 +61,7 @@ class Room:
     """A rendered capture, traced and unwrapped.
 
     ``sides``: as returned by :func:`seen_sides`; ``uv``: UVs (H, W, 2) of each view's pixels, NaN off the
-    surface; ``truth``: the views' true maps; ``auto``: the atlas's side in texels that fits the views' pixel
+    surface; ``truth``: the views' true maps; ``auto``: side of the atlas in texels at the views' pixel
     density.
     """
 
@@ -103,9 +103,9 @@ class Room:
 
 
 def steps(atlas: Atlas, truth: Atlas) -> dict[str, tuple[float, int]]:
-    """Sum of the differences of D (mean over channels) between neighbouring observed texels of smooth true D,
-    and number of pairs: for pairs with different numbers of views (``border``) and equal ones (``inside``).
-    The atlases have the same mesh and side.
+    """Sum of absolute differences of D (mean over channels) between neighbouring observed texels where the
+    true D is smooth, and number of such pairs: of different (``border``) and equal (``inside``) numbers of
+    views. The atlases have the same mesh and side.
     """
     found = {"border": (0.0, 0), "inside": (0.0, 0)}
     for axis in (0, 1):
@@ -169,7 +169,7 @@ def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[s
 
 
 def print_seams(room: Room, checkpoint: Path) -> None:
-    """Print, for each choice of weights, a row with a room's steps of D and errors."""
+    """Print, for each choice of weights, a row with the room's :func:`steps` and errors."""
     maps = predictions(room, checkpoint)
     truth = room.merged(room.truth, room.auto, None)
     for weights in WEIGHTS:

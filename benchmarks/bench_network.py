@@ -6,8 +6,8 @@
 
 Prints, and writes as JSON, median times of: the forward pass of one track at 640 x 384 in float32 and
 bfloat16; a training step of each phase of the preset, split into forward, render, perceptual, backward and
-optimiser (with ``--peak-tflops``, also the share of the GPU's bfloat16 peak); decoding of a view, with the
-crops per second that result. The batch is synthetic; decoding reads an EXR file in a temporary folder.
+optimiser (with ``--peak-tflops``, also the share of the GPU's bfloat16 peak); decoding of a view, and the
+resulting crops per second. The batch is synthetic; decoding reads an EXR file in a temporary folder.
 """
 
 from __future__ import annotations

@@ -6,10 +6,10 @@
 
 The rooms are five of the bundled library and five imported scenes (from ../shared/data, or SCENE_DATA). The
 true error is measured as in `datagen verify --recheck`, against four independent references of plain paths of
-up to 65 segments, here with shadow rays through the windows, which have the same expectation. References are
-stored in --cache, so an interrupted command resumes. A true error is *not known* if its standard error
-exceeds a quarter of it. The bias of the irradiance cache is that of undenoised, unclamped paths that use it,
---cached-samples per pixel, in whole views and in blocks of 16x16 pixels.
+up to 65 segments, here with the sky guide, which does not change their expectation. References are stored in
+--cache, so an interrupted command resumes. A true error is *not known* if its standard error exceeds a
+quarter of it. The bias of the irradiance cache is measured in whole views and in blocks of 16x16 pixels, with
+--cached-samples undenoised, unclamped paths per pixel that use the cache.
 """
 
 from __future__ import annotations
@@ -49,10 +49,11 @@ IMAGE = REPOSITORY / "docs" / "images" / "recorded_error.png"
 
 @dataclass(frozen=True)
 class Point:
-    """A view's recorded and true exposed relMSE, standard error of the true one, and brightness error.
+    """Errors of a view: ``recorded`` and ``true`` exposed relMSE, ``true_error``, the standard error of
+    ``true``, and ``bias``, the relative error of the mean luminance.
 
-    ``cache_bias`` and ``cache_error`` are the bias of the mean of paths with the irradiance cache and
-    its standard error; ``block_bias`` is that of the worst block, without sign, less two standard errors.
+    ``cache_bias`` is the relative bias of mean luminance due to the irradiance cache, ``cache_error`` its
+    standard error; ``block_bias`` is the largest absolute bias of a block, less two standard errors.
     """
 
     room: str
@@ -93,7 +94,7 @@ def room_named(name: str, views: int, size: tuple[int, int], cache: Path) -> tup
 def reference_paths(
     configuration: Configuration, room: str, view: int, samples: int, cache: Path
 ) -> list[Path]:
-    """Paths of a view's references, named after room, view, part, and a hash of what determines them."""
+    """Paths of a view's references, named after room, view, part, and a hash of all their inputs."""
     determined = [configuration.model_dump(mode="json"), samples, pixel_versions()]
     key = sha256_hex(canonical_json(determined))[:12]
     return [cache / f"{room}-{key}-{view}-{part}.npy" for part in range(PARTS)]
@@ -165,7 +166,7 @@ def points_of(room: str, arguments: argparse.Namespace) -> Iterator[Point]:
 
 
 def figures(points: list[Point]) -> dict[str, Any]:
-    """Statistics, by name, of biases, and of recorded over true error in views of known true error."""
+    """Statistics by name: of recorded / true error over the views of known true error, and of biases."""
     known = [p for p in points if p.is_known]
     ratios = np.array([p.recorded / p.true for p in known])
     return {

@@ -6,8 +6,8 @@
     SCENE_MATERIALS_VARIANT=cuda_ad_rgb python -m benchmarks.bench_variant planned --compare llvm.npz
 
 Prints times over the views after the first two, which compile the kernels (mean of a view, median by stage);
-by buffer, the largest difference and the share of pixels that differ beyond the rounding of half floats, and
-relMSE of the radiance, each of the worst view.
+by buffer, the largest difference and the share of pixels that differ beyond the rounding of half floats; and
+the relMSE of the radiance. Differences are those of the worst view.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ class Copy:
 
 
 def trace(copy: Copy, target: Target) -> dict[str, Any]:
-    """Run a target's tests; returns the seconds of each and its lines, as sets by module."""
+    """Run a target's tests; returns for each test its seconds and the executed lines, as sets by module."""
     for path in (copy.work / "children").iterdir():
         path.unlink()
     found = copy.work / "trace.json"
@@ -138,7 +138,7 @@ def draw(
         source = (root / module).read_text()
         compiled = _untraced_lines(source)
         for mutant in find_mutants(module, source):
-            # code that runs on import, such as default values, or is compiled is not traced: run all tests
+            # compiled code, and code that runs on import (default values), is not traced: run all tests
             is_signature = mutant.statement.startswith(("def ", "async def "))
             if not mutant.function or mutant.first_line in compiled or is_signature:
                 names = sorted(tests, key=lambda name: tests[name]["seconds"])

@@ -24,7 +24,7 @@ COMPARISONS: dict[type, tuple[str, ...]] = {
     ast.In: ("in", "not in"),
     ast.NotIn: ("not in", "in"),
 }
-"""Symbol of each comparison, and of those that replace it."""
+"""Symbol of each comparison, followed by its replacements."""
 ARITHMETIC: dict[type, tuple[str, str]] = {
     ast.Add: ("+", "-"),
     ast.Sub: ("-", "+"),
@@ -57,15 +57,15 @@ UNCHAINED = ("clamp_min", "clamp_max", "sqrt", "cumsum")
 """Methods whose calls a mutant replaces by their object."""
 WORDS = ("Problem", "input_error", "InputError", "ValueError", "RuntimeError", "print", "filterwarnings")
 """Functions whose arguments only form messages."""
-SMALLEST = 1e-5  # smaller numbers prevent rounding errors; their mutants would not change results
+SMALLEST = 1e-5  # smaller numbers guard against rounding: doubling them changes no result, so they become 0
 
 
 @dataclass(frozen=True)
 class Mutant:
     """Replacement of ``text``, from ``start`` to ``end`` in a module's source, by ``new``.
 
-    ``first_line`` and ``last_line`` are those of the statement; ``key`` depends only on the file name, the
-    function, the statement and the change.
+    ``first_line`` and ``last_line`` bound the statement or, if compound, its header; ``key`` depends only on
+    the file name, the function, the statement and the change.
     """
 
     key: str

@@ -68,7 +68,7 @@ def print_density(num: int = 200_000) -> None:
 
 
 def print_slopes() -> None:
-    """Print the maximum error of sampled slopes in the CDF, and seconds for 4e6 samples, by step count."""
+    """Print the maximum error of the CDF of sampled slopes, and seconds for 4e6 samples, by Newton steps."""
     import drjit as dr
     import mitsuba as mi
 
@@ -128,7 +128,7 @@ def _angle_transport(specular: float, roughness: float, num_bins: int, num_slope
 
 
 def _sum_of_bounces(transport: np.ndarray, num_bounces: int) -> float:
-    """Sum of the energies that remain of diffuse light of energy 1 after each bounce between two plates."""
+    """Sum, over bounces between two plates, of the energy left of diffuse light that starts with energy 1."""
     energy = np.full(len(transport), 1.0 / len(transport))
     total = 0.0
     for _ in range(num_bounces):

@@ -6,9 +6,8 @@
 
 Every scene is imported into a temporary library, rendered from its own camera at the reference's aspect with
 the original BSDFs and with the project's, and compared with its author's ``reference.exr``. The third column
-compares the rendering with converted materials to that with original ones. Figures: correlation and median
-ratio of blurred luminance (``oracles.imported_renders.agreement``). Writes --out (JSON) and prints a
-Markdown table.
+compares the two renderings. Figures: correlation and median ratio of blurred luminance
+(``oracles.imported_renders.agreement``). Writes --out (JSON) and prints a Markdown table.
 """
 
 from __future__ import annotations

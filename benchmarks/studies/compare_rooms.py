@@ -11,8 +11,9 @@ relative to the room's median exposure, since each scene has its own unit of rad
 
 Writes ``distributions.png`` (D, S, R, luminance, exposure), ``beside.jpg`` (imported rooms left, generated
 ones right) and ``page.jpg`` (a view of each of the first ``--page`` rooms of DATASET), all at the exposure of
-contact sheets, and prints a table: shares of S > 0.3 and R < 0.3, clipped pixels at that exposure, with and
-without frames, sills, blinds and curtains of windows, and the variation of exposures within a room.
+contact sheets. Prints a table: shares of pixels with S > 0.3 and R < 0.3, share of pixels clipped at that
+exposure, with and without window parts (frames, sills, blinds, curtains), and the ratio of the largest to
+the smallest exposure within a room.
 """
 
 from __future__ import annotations

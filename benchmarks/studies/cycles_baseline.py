@@ -7,9 +7,9 @@ process with mitsuba.
 
 ``build`` converts an export of cycles_scene.py to a .blend; ``render`` writes one multi-layer EXR per view
 (half, zip: beauty, depth, normal, diffuse and glossy colour, object and material index) and ``times.json``
-with the times at which the scene was loaded and each view was finished, as seconds since the epoch. Path
-tracing, persistent data, OIDN with prefiltered albedo and normal; ``--noisy`` omits the denoiser and writes
-single precision, for references.
+with the times at which the scene was loaded and each view was finished, as seconds since the epoch. Cycles
+keeps persistent data and denoises by OIDN with prefiltered albedo and normal; ``--noisy`` omits the denoiser
+and writes single precision, for references.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Accuracy of statistics, projection, encodings and rendering for extreme inputs: tables of measurements.
+"""Accuracy of statistics, projection, encodings and rendering for extreme inputs, in tables.
 
     python -m benchmarks.studies.data_extremes            all tables as Markdown
 
