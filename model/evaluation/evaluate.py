@@ -68,9 +68,9 @@ _MEASURES = 5
 _RECONSTRUCTION = 31
 """Revision of ``materials infer``; cached maps of another revision are computed again."""
 _TRUE_SCENE = 17
-"""Revision of the second rendering of the scene itself."""
+"""Revision of methods of kind ``truth``, which render the scene again."""
 _MATERIALS_FROM_LIGHT = 41
-"""Revision of materials from light (``materials`` other than "network"), beyond ``LIGHT_REVISION``."""
+"""Revision, besides ``LIGHT_REVISION``, of materials fitted to the recorded light (option ``materials``)."""
 _TAKEN = 1
 """Revision of photographs with camera faults."""
 

@@ -46,7 +46,7 @@ _REVISION = 2
 _GEOMETRY = 2
 """Revision of the geometry of captures, which predictions depend on."""
 _MENDED_MESH = 2
-"""Revision of the mending of meshes with errors, which precedes prediction."""
+"""Revision of the repair of meshes with simulated errors, which precedes prediction."""
 
 
 @dataclass

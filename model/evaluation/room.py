@@ -46,7 +46,7 @@ from model.evaluation.drawn_room import RECIPE_SUFFIXES, draw_room, imported, re
 from model.evaluation.photographer import choose_cameras
 
 Side = Annotated[int, Field(ge=16, le=16384)]
-"""Side of an image in pixels. LPIPS-VGG, which halves images four times, needs 16, SSIM 11."""
+"""Side of an image in pixels; at least 16, since LPIPS-VGG halves images four times (SSIM needs 11)."""
 _SCENE_FILE = "scene.xml"
 
 

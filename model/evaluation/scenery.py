@@ -53,7 +53,7 @@ class Scenery:
     def lit_by(self, modified: ModifiedLight, added: Sequence[Light]) -> Scenery:
         """Return the scenery under its own lights times ``modified.own_gain`` plus the ``added`` lights.
 
-        Visible lights of gain 0 remain as black surfaces, as lamps that are switched off.
+        If the gain is 0, visible lights remain as black surfaces, like lamps that are switched off.
         """
         gain = modified.own_gain
         own = [scaled(light, gain) for light in self.configuration.lights if gain > 0 or has_surface(light)]
@@ -175,8 +175,8 @@ class Place:
 def level_place(camera: Camera, depth_z_m: NDArray, normal_world: NDArray, height_m: float) -> Place | None:
     """Find a level position in front of a camera for an object of ``height_m``; None if there is none.
 
-    The object is inside the image vertically, near the middle of the lower half, and preferably about a third
-    as high as the image. ``depth_z_m`` is (H, W, 1), ``normal_world`` (H, W, 3).
+    The object fits into the image vertically, near the middle of the lower half, and is preferably about a
+    third as high as the image. ``depth_z_m`` is (H, W, 1), ``normal_world`` (H, W, 3).
     """
     from scipy.ndimage import minimum_filter
 

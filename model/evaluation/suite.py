@@ -170,7 +170,7 @@ class Suite(StrictModel):
         return self
 
     def judging(self, scene: TestScene) -> Suite:
-        """The suite with the quality of ``scene``'s judged views."""
+        """The suite with ``scene.judged``, if given, in place of ``render`` and ``truth``."""
         if scene.judged is None:
             return self
         return self.model_copy(update={"truth": scene.judged, "render": scene.judged})

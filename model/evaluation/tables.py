@@ -130,7 +130,7 @@ def _judged(result: SuiteResult) -> list[tuple[SceneResult, MethodResult]]:
 
 
 def _titled(names: dict[str, tuple[str, int]]) -> dict[str, int]:
-    """Columns, as decimals by title, of figures given as (title, decimals) by name."""
+    """Table columns, {title: decimals}, for the figures ``names``, {key: (title, decimals)}."""
     return dict(names.values())
 
 
@@ -325,7 +325,7 @@ def _images(result: SuiteResult) -> Table:
 def _cost(result: SuiteResult) -> Table:
     rows: list[Row] = []
     spent = [stage for _, method in _judged(result) for stage in method.seconds if stage != _COMPARING]
-    names = tuple(dict.fromkeys((*spent, "statistics", "predict", "merge")))  # the last are the paper's
+    names = tuple(dict.fromkeys((*spent, "statistics", "predict", "merge")))  # the last 3 are the paper's
     for scene in result.scenes:
         for method in _measured(scene):
             seconds = [method.seconds.get(stage) for stage in names]

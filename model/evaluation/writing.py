@@ -42,7 +42,7 @@ def _read_state(out: Path) -> _State:
     try:
         return read_json(_State, out / STATE_FILE)
     except InputError:
-        return _State(result="", files=())  # nothing is written, or by another version
+        return _State(result="", files=())  # nothing was written yet, or by another version
 
 
 def _hash_of(result: SuiteResult) -> str:
