@@ -149,9 +149,9 @@ def statistics_vectorized(
     - the projection's distance in pixels to the image's border (to the pixel's border if depth is tested or
       colours are fetched from the nearest pixel);
     - with bilinear fetches, the distance of the weights' sum from its limit;
-    - 20 times (since their float32 errors are smaller) |n . omega| of normal and unit direction to the
-      camera, the gap between relative depth error and tolerance, and the cost gap between the last chosen and
-      the first rejected view.
+    - 20 times each of the following, whose float32 errors are smaller: |n . omega| (normal, unit direction to
+      the camera), the gap between relative depth error and tolerance, and the cost gap between the last
+      chosen and the first rejected view.
     """
     own = views[index]
     height, width = own.color.shape[:2]

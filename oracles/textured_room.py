@@ -54,7 +54,7 @@ def room_mesh() -> Mesh:
 
 
 def materials_at(uv: NDArray) -> dict[str, NDArray[np.float32]]:
-    """Maps (..., 3 or 1) in [0.05, 0.95] at UVs (..., 2): waves of one period per cell and axis."""
+    """Maps (..., 3 or 1) in [0.05, 0.8] at UVs (..., 2): waves of one period per cell and axis."""
     u, v = uv[..., 0] * 4 * 2 * np.pi, uv[..., 1] * 3 * 2 * np.pi
     diffuse = np.stack([0.5 + 0.3 * np.sin(u), 0.5 + 0.3 * np.cos(v), 0.4 + 0.2 * np.sin(u + v)], axis=-1)
     specular = np.stack([0.1 + 0.05 * np.cos(u), 0.1 + 0.05 * np.sin(v), 0.2 + 0.1 * np.cos(u - v)], axis=-1)
@@ -64,7 +64,7 @@ def materials_at(uv: NDArray) -> dict[str, NDArray[np.float32]]:
 
 
 def room_cameras(num: int = 10, size: tuple[int, int] = (96, 72), seed: int = 4) -> list[Camera]:
-    """``num`` cameras near the walls that look across the room; the size of every second differs slightly."""
+    """``num`` cameras near the walls, directed across the room; every second one has another size."""
     rng = np.random.default_rng(seed)
     cameras = []
     for index in range(num):
