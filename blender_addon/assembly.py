@@ -170,7 +170,7 @@ class _Assembly:
         layer = (baked.frame.layer if baked.frame is not None else "") or mesh.active_uv
         if layer in mesh.uv_layers:
             return baked.texture_coordinates(mesh.uv_layers[layer])
-        if bpy.data.materials[material].get("sm_replaceable_by"):  # other materials may need UVs
+        if bpy.data.materials[material].get("sm_replaceable_by"):  # its replacements may need UVs
             return box_uv(mesh, np.linalg.norm(metres_from_part[:3, :3], axis=0))
         return None
 

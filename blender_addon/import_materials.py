@@ -2,9 +2,9 @@
 """Builds the materials of an asset package as node graphs.
 
 If S is a constant grey of at most 0.2, the material is a Principled BSDF of base colour D with the specular
-level for that F0. Otherwise it is the sum of a Diffuse BSDF of (1 - S) D and a Metallic BSDF of S, which
-equals the project's BSDF for any D and S (Principled has one base colour for both), and which the add-on
-exports to the same channels.
+level for that F0. Otherwise it is the sum of a Diffuse BSDF of (1 - S) D and a Metallic BSDF of S. This sum
+equals the project's BSDF for any D and S (Principled has one base colour for both), and the add-on exports it
+to the same channels.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class _Nodes:
         return node
 
     def sum(self, diffuse: Any, specular: Any, roughness: Any) -> bpy.types.Node:
-        """Add Diffuse of (1 - S) D and Metallic of S, whose F82 term with a white edge tint is Schlick's."""
+        """Sum of a Diffuse BSDF of (1 - S) D and a Metallic BSDF of S, Schlick's by a white edge tint."""
         self.tree.nodes.remove(self.principled_node)
         gloss, lambert, total = map(self._new, ("BsdfMetallic", "BsdfDiffuse", "AddShader"))
         gloss.distribution, gloss.fresnel_type = "BECKMANN", "F82"

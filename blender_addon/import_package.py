@@ -180,7 +180,7 @@ def _is_sheared(matrix: NDArray[np.float64]) -> bool:
 
 
 def read_ply(path: Path) -> tuple[dict[str, NDArray[np.float32]], NDArray[np.int32]]:
-    """Read a PLY file: vertex columns (N,) by name, triangles (M, 3). Raises ``ValueError`` for others."""
+    """Read a PLY file: vertex columns (N,) by name, triangles (M, 3); ``ValueError`` for other content."""
     content = path.read_bytes()
     end = content.find(b"end_header\n")
     if not content.startswith(b"ply") or end < 0:

@@ -238,7 +238,7 @@ def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: boo
 def plain_normal(
     normals: list[tuple[Stack, bpy.types.NodeSocket]], rendering_layer: str
 ) -> PlainImage | None:
-    """The normal map that all Normal inputs sample by ``rendering_layer``, without rotation; else None."""
+    """The normal map that all Normal inputs sample through ``rendering_layer``, unrotated; else None."""
     sources = [source_of(stack, socket) for stack, socket in normals]
     node = sources[0].node
     if node is None or node.type != "NORMAL_MAP" or any(source.node != node for source in sources):

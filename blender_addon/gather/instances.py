@@ -56,7 +56,7 @@ class Gathered:
 def hash_name(name: str) -> int:
     """Cycles' 32-bit random id of an object that is not an instance, from its name (util/hash.h).
 
-    This is Bob Jenkins' hash of two words, a polynomial of the name's bytes and 0.
+    This is Bob Jenkins' hash of two words: a polynomial of the name's bytes, and 0.
     """
     mask = 0xFFFFFFFF
     value = 0

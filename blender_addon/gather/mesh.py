@@ -175,7 +175,7 @@ def is_unit_unwrap(mesh: MeshArrays, uv: FloatArray, slot: int | None = None) ->
 
 
 def _overlapping_share(corners: FloatArray, area: FloatArray, size: int = 256) -> float:
-    """Share of covered cells of a grid of side ``size`` with centres inside several triangles (T, 3, 2)."""
+    """Share of the covered cells of a grid (size, size) that are covered by several triangles (T, 3, 2)."""
     covered = np.zeros((size, size), np.int32)
     low = np.clip(np.ceil(corners.min(axis=1) * size - 0.5).astype(int), 0, size - 1)
     high = np.clip(np.floor(corners.max(axis=1) * size - 0.5).astype(int), -1, size - 1)

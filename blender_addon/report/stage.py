@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Small scenes for comparing renderers: each material on a sphere and a plane, each light over a floor.
+"""Small scenes for comparing renderers: each material on a sphere and a plane, each light on a square.
 
 All data-blocks belong to a :class:`~blender_addon.bake.execute.BakeSession` and are removed with it.
 """
@@ -109,7 +109,7 @@ def material_stage(
 
 
 def light_stage(session: BakeSession, light: bpy.types.Object | bpy.types.World) -> None:
-    """Build a scene with a camera, and a grey square that faces ``light``, or a grey sphere in a world."""
+    """Build a scene with a camera and a grey square that faces ``light`` or, for a world, a grey sphere."""
     scene = _prepare(session, "report_light")
     grey = session.own(bpy.data.materials, bpy.data.materials.new(f"{_PREFIX}_grey"))
     grey.use_nodes = True
