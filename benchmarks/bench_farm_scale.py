@@ -99,7 +99,7 @@ def _shard(configuration: str) -> bytes:
 
 
 def finish_folder(folder: DatasetFolder, plan: Plan) -> None:
-    """Write the markers and shards of a plan whose units are all finished."""
+    """Write the markers and shards that all units of a plan have once they are finished."""
     for unit in plan.units:
         shard = _shard(unit.id)
         digest = sha256_hex(shard)

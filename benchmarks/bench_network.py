@@ -4,7 +4,7 @@
     python -m benchmarks.bench_network [--preset paper] [--batch 8] [--threads 2] [--device cpu] [--out FILE]
     python -m benchmarks.bench_network --padding      effect of padding on the maps (docs/decisions/0010)
 
-Prints, and writes as JSON, median times of: the forward pass of one track at 640 x 384 in float32 and
+Prints, and writes as JSON, median times of: the forward pass of one track (U-Net) at 640 x 384 in float32 and
 bfloat16; a training step of each phase of the preset, split into forward, render, perceptual, backward and
 optimiser (with ``--peak-tflops``, also the share of the GPU's bfloat16 peak); decoding of a view, and the
 resulting crops per second. The batch is synthetic; decoding reads an EXR file in a temporary folder.

@@ -7,8 +7,8 @@
 The rooms are five of the bundled library and five imported scenes (from ../shared/data, or SCENE_DATA). The
 true error is measured as in `datagen verify --recheck`, against four independent references of plain paths of
 up to 65 segments, here with the sky guide, which does not change their expectation. References are stored in
---cache, so an interrupted command resumes. A true error is *not known* if its standard error exceeds a
-quarter of it. The bias of the irradiance cache is measured in whole views and in blocks of 16x16 pixels, with
+--cache, so an interrupted command resumes. A true error is *known* if its standard error is below a quarter
+of it. The bias of the irradiance cache is measured in whole views and in blocks of 16x16 pixels, with
 --cached-samples undenoised, unclamped paths per pixel that use the cache.
 """
 
@@ -70,7 +70,7 @@ class Point:
 
     @property
     def is_known(self) -> bool:
-        """Whether the standard error of the true error is at most a quarter of it."""
+        """Whether the standard error of the true error is below a quarter of it."""
         return self.true_error < 0.25 * self.true
 
 

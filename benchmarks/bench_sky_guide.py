@@ -6,7 +6,7 @@
 Each view of rooms assembled from the bundled library is traced with ``--samples`` paths per pixel, four times
 with and four times without the guide, with the firefly clamp of the named qualities. Variance is half the
 exposed relMSE between two images, averaged over views; time is the median processor time of an image.
-The product of their ratios is the relative time for the same noise. The time to build the guide is separate.
+The product of their ratios is the relative time for the same noise, without the time to build the guide.
 """
 
 from __future__ import annotations

@@ -73,10 +73,8 @@ def candidates(environment: EnvironmentAsset, size: tuple[int, int]) -> Iterator
 def lit_views(
     base: Configuration, library: Library, environment: EnvironmentAsset, count: int
 ) -> list[Camera]:
-    """The first ``count`` candidates that are not inside walls, judged by images of a tenth of the size.
-
-    An image must have at least a fifth of the first image's median radiance, and less than 5 % of its pixels
-    nearer than 0.3 m.
+    """The first ``count`` candidates that are not inside walls, judged by images of a tenth of the size: at
+    least a fifth of the first image's median radiance, and less than 5 % of the pixels nearer than 0.3 m.
     """
     recipe = RenderRecipe(path_samples=64, auxiliary_samples=4, denoise=False)
     chosen: list[Camera] = []

@@ -39,7 +39,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 EQUIVALENT = Path(__file__).with_name("equivalent.yaml")
 # time limit of a mutant's tests: minimum in seconds, and multiple of their time without a mutation
 MIN_TIMEOUT_S, PATIENCE = 60.0, 6.0
-SURVIVED = 0  # exit code of pytest
+SURVIVED = 0  # exit code of pytest if all tests pass
 
 
 class Copy:

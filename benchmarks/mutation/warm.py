@@ -2,7 +2,7 @@
 """A process that imports slow modules once, and runs each call of pytest in a fork.
 
 Reads one JSON object per line: ``arguments`` of pytest, ``timeout_s`` and the file for its ``output``;
-answers with the exit code, negative after a signal. Modules of the project are imported by the fork alone.
+answers with the exit code, negative after a signal. Only the fork imports modules of the project.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ def _run(request: dict[str, Any]) -> None:
 def outcome_of(process: int, timeout_s: float) -> int:
     """Wait for a child process and return its exit code, negative after a signal.
 
-    It is killed after ``timeout_s`` of processor time, which does not depend on other work, or ten times as
-    much wall time, as tests may sleep.
+    It is killed after ``timeout_s`` of processor time, which other processes do not affect, or after ten
+    times as much wall time, since tests may sleep.
     """
     end = time.monotonic() + CLOCK_SHARE * timeout_s
     while time.monotonic() < end and _processor_s(process) < timeout_s:

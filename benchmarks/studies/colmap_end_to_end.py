@@ -10,8 +10,8 @@
 2. Cycles (cycles_photographs.py) renders the views with depth of field; :func:`developed` adds shot and
    read noise and makes 8-bit JPEGs: exposure, the sRGB curve ("Standard"), clipping, no tone mapping.
    ``--faults`` develops with a preset of model/evaluation/camera_faults.py instead.
-3. ``colmap`` finds the cameras; ``model_aligner`` moves them into the room's frame by three or more measured
-   camera centres, here all of them with noise of 5 mm standard deviation per axis.
+3. ``colmap`` finds the cameras; ``model_aligner`` moves them into the room's frame by measured camera centres
+   (at least three): here all true centres, with noise of 5 mm standard deviation per axis.
 4. The mesh is the room welded and collapsed to ``--triangles``, without UVs, or the surface through COLMAP's
    points, as in `materials photos`.
 5. ``materials infer``, including its check.

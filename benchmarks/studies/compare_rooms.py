@@ -52,9 +52,9 @@ class RoomFigures:
     """Figures of one room.
 
     ``densities``: a histogram of sum 1 for each of :data:`BINS`. ``metal_share``, ``gloss_share``: shares of
-    surface pixels with high S and with low R. By view (N,): ``exposures``, and the clipped shares of surface
-    pixels, ``clipped``, and of those outside windows, ``clipped_in_room``. ``picture``: the view with most
-    instances, (H, W, 3) sRGB.
+    surface pixels with high S and with low R. By view (N,): ``exposures``; ``clipped``, the share of surface
+    pixels that are clipped, and ``clipped_in_room``, the same without window parts. ``picture``: the view
+    with most instances, (H, W, 3) sRGB.
     """
 
     name: str

@@ -3,8 +3,8 @@
 
     python -m benchmarks.studies.data_extremes            all tables as Markdown
 
-``tests/benchmarks/test_extremes.py`` checks the tables; both call the functions below. The scene of boxes is
-in ``oracles``.
+``tests/benchmarks/test_extremes.py`` checks the results of the same functions. The scene of boxes is in
+``oracles``.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def image_at_scales(cases: Sequence[tuple[float, float]]) -> list[tuple[float, f
     """Largest and median relative difference from the image of case (1, 1), by case (scale, radiance).
 
     The random numbers are the same, so differences are due to rounding; near the light's edge, one of a
-    pixel's 64 paths may miss the light in one room only.
+    pixel's 64 paths may miss the light in one of the images only.
     """
     expected = lit_floor(1.0, 1.0)
     found = [np.abs(lit_floor(metres, radiance) / radiance / expected - 1) for metres, radiance in cases]
