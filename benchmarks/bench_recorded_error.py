@@ -49,8 +49,8 @@ IMAGE = REPOSITORY / "docs" / "images" / "recorded_error.png"
 
 @dataclass(frozen=True)
 class Point:
-    """Errors of a view: ``recorded`` and ``true`` exposed relMSE, ``true_error``, the standard error of
-    ``true``, and ``bias``, the relative error of the mean luminance.
+    """Errors of a view: ``recorded`` and ``true`` relMSE (exposed), ``true_error`` (standard error of
+    ``true``) and ``bias`` (relative error of the mean luminance).
 
     ``cache_bias`` is the relative bias of mean luminance due to the irradiance cache, ``cache_error`` its
     standard error; ``block_bias`` is the largest absolute bias of a block, less two standard errors.

@@ -166,8 +166,8 @@ def measure_growth(views: list[StatisticsView], repeats: int) -> dict:
 
 
 def measure_visibility(views: list[StatisticsView], scene) -> dict:
-    """Number of pairs (surface point, other view) visible according to shadow rays, and, as shares of it, the
-    pairs visible only according to the depth test and only according to shadow rays.
+    """Number of pairs (surface point, other view) that are visible by shadow rays, and the pairs visible only
+    by the depth test and only by shadow rays, as shares of it.
     """
     packed = PackedViews([view.camera for view in views], [view.depth_z_m for view in views])
     rng = np.random.default_rng(1)

@@ -8,8 +8,8 @@ process with mitsuba.
 ``build`` converts an export of cycles_scene.py to a .blend; ``render`` writes one multi-layer EXR per view
 (half, zip: beauty, depth, normal, diffuse and glossy colour, object and material index) and ``times.json``
 with the times at which the scene was loaded and each view was finished, as seconds since the epoch. Cycles
-keeps persistent data and denoises by OIDN with prefiltered albedo and normal; ``--noisy`` omits the denoiser
-and writes single precision, for references.
+keeps the scene's data between views and denoises by OIDN with prefiltered albedo and normal; ``--noisy``
+omits the denoiser and writes single precision, for references.
 """
 
 from __future__ import annotations
