@@ -38,7 +38,7 @@ def transliterated(text: str) -> str:
 
 
 def _letters(letter: str, is_in_capitals: bool) -> str:
-    """Return the ASCII form of a letter; if ``is_in_capitals``, a capital becomes capitals (AE, not Ae)."""
+    """Return the ASCII form of a letter; next to a capital, a capital becomes all capitals (AE, not Ae)."""
     if letter.isascii():
         return letter
     small = letter.lower()
