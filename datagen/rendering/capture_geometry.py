@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Joins the meshes of a configuration into a capture's geometry (a world-space mesh, its parts and lamps).
 
-Lights that are visible surfaces are parts with emission, like the emissive parts of assets: photographs show
-them in front of other surfaces.
+Visible area and sphere lights become parts with emission, like the emissive parts of assets, since they
+occlude other surfaces in photographs.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ def configuration_geometry(
     configuration: Configuration, library: Library
 ) -> tuple[CaptureGeometry, tuple[str, ...]]:
     """Join all placed parts and visible lights into one geometry; also return notes on properties that it
-    cannot represent.
+    cannot represent (opacity).
 
-    Raises :class:`InputError` for packages that differ from the configuration's, singular transforms and
-    unusable meshes.
+    Raises :class:`InputError` for packages whose hash differs from the configuration's, singular transforms
+    and unusable meshes.
     """
     found = []
     for placed in (configuration.environment, *configuration.objects):
@@ -61,12 +61,12 @@ def package_geometry(package: Package, placed: PlacedAsset) -> tuple[CaptureGeom
 
 
 def has_surface(light: Light) -> TypeGuard[AreaLight | SphereLight]:
-    """Return whether cameras see a light as a surface, black if its radiance is 0."""
+    """Return whether a light is a surface visible to cameras; it is black if its radiance is 0."""
     return isinstance(light, SphereLight) or (isinstance(light, AreaLight) and light.is_visible)
 
 
 def is_lamp(light: Light) -> TypeGuard[AreaLight | SphereLight]:
-    """Return whether cameras see a light as an emitting surface."""
+    """Return whether a light is an emitting surface visible to cameras."""
     return has_surface(light) and any(light.radiance)
 
 

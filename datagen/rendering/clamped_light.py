@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Light removed by the firefly clamp: what can be restored, and the error due to the rest.
+"""Restores light removed by the firefly clamp, and estimates the error due to the rest.
 
-Fireflies are paths of light that sampling hardly finds, such as caustics of a lamp in a mirror. Removed
-altogether, they would darken views by up to 5 %. Their light is therefore spread: the image is multiplied by
-1 plus the share of light removed around each pixel, in the narrowest neighbourhood with enough fireflies. If
-there are too few of them even in a wide one, the amount of light is unknown, and it is restored in part or
-not at all.
+Fireflies are paths of light that sampling rarely finds, such as caustics of a lamp in a mirror. Without their
+light, views would be up to 5 % darker. It is therefore spread over neighbouring pixels: the image is
+multiplied by 1 plus the share of light removed around each pixel, in the smallest neighbourhood with enough
+fireflies. If even a wide one has too few, their energy is uncertain and is restored only in part or not at
+all.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from datagen.rendering.error import EPSILON
 NARROW_PX = 2.0
 """Standard deviation of the Gaussian over which dense fireflies, such as those of highlights, are spread."""
 WIDE = 1.0 / 8.0
-"""The same for scattered fireflies, relative to the root of the image's area."""
+"""The same for scattered fireflies, as a fraction of the square root of the image's area."""
 COARSE_SIGMA_PX = 8.0
-"""Standard deviation in pixels of the smaller images on which wide Gaussians are computed."""
+"""Standard deviation of wide Gaussians, in pixels of the downscaled image on which they are computed."""
 MIN_DENSE, MIN_SCATTERED = 10.0, 3.0
-"""Numbers of equally bright clamped pixels in such neighbourhoods from which on light is restored."""
+"""Minimum numbers of equally bright fireflies for light to be restored, in these two neighbourhoods."""
 
 
 def restored_share(level: NDArray[np.floating], removed: NDArray[np.floating]) -> NDArray[np.float64]:
     """Light to restore (H, W), relative to the luminance ``level`` (H, W) of the clamped image.
 
-    ``removed`` (H, W) is the luminance removed from the mean of all samples. Where its mean around a pixel is
-    m, with variance v, the part max(0, 1 - k v / m^2) of the pixel's light is spread over that neighbourhood,
-    and the rest is left to the wider one; k is the minimum number of fireflies.
+    ``removed`` (H, W) is the luminance removed from the mean of all samples. If its mean around a pixel is m,
+    and v the variance of that mean, the share max(0, 1 - k v / m^2) of the light removed from the pixel is
+    spread over the neighbourhood, and the rest over the wider one; k is the minimum number of fireflies.
     """
     share = np.zeros(removed.shape)
     if not removed.any():
         return share
-    unit = float(removed.max())  # of luminance; squares neither overflow nor vanish
+    unit = float(removed.max())  # in this unit, squares of luminance neither overflow nor underflow
     level, left = np.asarray(level / unit, np.float64), np.asarray(removed / unit, np.float64)
     for sigma, minimum in ((NARROW_PX, MIN_DENSE), (WIDE * math.sqrt(removed.size), MIN_SCATTERED)):
         mean, variance = _smoothed(left, sigma), _variance(left, sigma)
@@ -49,10 +49,10 @@ def restored_share(level: NDArray[np.floating], removed: NDArray[np.floating]) -
 
 
 def _variance(removed: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
-    """Variance (H, W) of the mean of independent fireflies ``removed`` (H, W) by a Gaussian.
+    """Variance (H, W) of the Gaussian-weighted mean of ``removed`` (H, W), for independent fireflies.
 
-    It is the sum of their squares, weighted by the square of the Gaussian: a Gaussian narrower by the root of
-    2, divided by 4 pi sigma^2.
+    It is the sum of their squares, weighted by the squared Gaussian, which is a Gaussian narrower by the root
+    of 2, divided by 4 pi sigma^2.
     """
     return _smoothed(removed**2, sigma, narrower=math.sqrt(2.0)) / (4.0 * math.pi * sigma**2)
 
@@ -62,7 +62,7 @@ def _smoothed(image: NDArray[np.float64], sigma: float, narrower: float = 1.0) -
     import cv2
     from scipy import ndimage
 
-    coarse = max(sigma / COARSE_SIGMA_PX, 1.0)  # side of the pixels of the smaller image
+    coarse = max(sigma / COARSE_SIGMA_PX, 1.0)  # downscaling factor
     height, width = image.shape
     size = (max(round(width / coarse), 1), max(round(height / coarse), 1))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
@@ -77,8 +77,8 @@ def missing_error(
     """relMSE due to removed light that is not restored.
 
     ``level`` (H, W) is the luminance of the clamped image, ``scale`` its exposure, ``removed`` the luminance
-    (H, W) removed from each of two halves. The square of the missing share of light around each pixel is the
-    product of both halves' shares, whose independent noise cancels in the mean.
+    (H, W) removed from each of two independent halves of the samples. The squared share of light missing
+    around each pixel is estimated by the product of the halves' shares, whose noise cancels on average.
     """
     if not (removed[0].any() and removed[1].any()):
         return 0.0

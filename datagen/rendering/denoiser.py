@@ -43,16 +43,16 @@ def auxiliary_albedo(
 ) -> NDArray[np.float32]:
     """Albedo guide (H, W, 3), the reflectance at normal incidence, (1 - S) D + S, times ``mask``.
 
-    With ``mask`` (H, W, 1), the share of the pixel covered by surface, the guide fades to 0 at edges like the
-    image, which contains only reflected light.
+    ``mask`` (H, W, 1) is the share of the pixel covered by surface. With it, the guide fades to 0 at
+    silhouettes like the image, which contains only reflected light.
     """
     return (mask * ((1.0 - specular) * diffuse + specular)).astype(np.float32)
 
 
 def _import_pyoidn() -> ModuleType:
-    """Import pyoidn without torch, which it imports if installed: 2 s and 200 MB that arrays do not need.
+    """Import pyoidn without its optional import of torch, which takes 2 s and 200 MB.
 
-    Its functions of tensors import torch when called, so they work nonetheless.
+    Only its functions for tensors need torch; they import it again when called.
     """
     if "pyoidn" in sys.modules or "torch" in sys.modules:
         return importlib.import_module("pyoidn")
@@ -67,8 +67,8 @@ def _import_pyoidn() -> ModuleType:
 class OidnDenoiser:
     """Intel Open Image Denoise on the CPU, not thread-safe. ``num_threads`` 0 uses all cores.
 
-    ``quality`` is fast, balanced or high. If ``is_guided`` is false, albedo and normal are ignored, which
-    measures their effect.
+    ``quality`` is fast, balanced or high. If ``is_guided`` is false, albedo and normal are ignored (for
+    measurements of their effect).
     """
 
     quality: str = "high"
@@ -92,7 +92,7 @@ class OidnDenoiser:
     def denoise(
         self, color: NDArray[np.float32], albedo: NDArray[np.float32], normal: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Denoise as in :class:`Denoiser`; clamp results at 0. Raises ``RuntimeError`` if OIDN fails."""
+        """Denoise as in :class:`Denoiser`; clamp negative results to 0. Raises ``RuntimeError``."""
         shape = (int(color.shape[0]), int(color.shape[1]))
         if shape not in self._filters:
             self._filters[shape] = self._make_filter(shape)
@@ -147,7 +147,7 @@ class OptixDenoiser:
     def denoise(
         self, color: NDArray[np.float32], albedo: NDArray[np.float32], normal: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Denoise as in :class:`Denoiser`; clamp results at 0."""
+        """Denoise as in :class:`Denoiser`; clamp negative results to 0."""
         import mitsuba as mi
 
         height, width = color.shape[:2]
@@ -165,7 +165,7 @@ class OptixDenoiser:
 
 
 def uses_optix(variant: str) -> bool:
-    """Whether the OptiX denoiser is used: in CUDA variants, if the driver's denoiser weights are installed.
+    """Return whether to denoise by OptiX: in CUDA variants, if the driver's denoiser weights are installed.
 
     Without them, OptiX aborts the process.
     """
@@ -173,5 +173,5 @@ def uses_optix(variant: str) -> bool:
 
 
 def make_denoiser(variant: str) -> OidnDenoiser | OptixDenoiser:
-    """Create an OptiX denoiser if it works with the Mitsuba variant, else OIDN."""
+    """Create an OptiX denoiser if :func:`uses_optix` returns true for the Mitsuba variant, else OIDN."""
     return OptixDenoiser() if uses_optix(variant) else OidnDenoiser()

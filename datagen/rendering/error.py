@@ -42,9 +42,9 @@ def relative_mse_of_parts(
     """Mean relMSE of ``image`` against four independent references ``parts``, and its standard error.
 
     For each of the six pairs (r1, r2), (x - r1)(x - r2) is divided by the squared mean of the other two.
-    Dividing by the mean of r1 and r2 would overweight pixels that are dark by chance in both; relative noise
-    s of each reference would add 3/2 s^4. The standard error is that of pixels with independent noise, of any
-    distribution: a firefly in two references counts as uncertain, not as an error.
+    Dividing by the mean of r1 and r2 would overweight pixels that are dark by chance in both; references with
+    relative noise s would then add 3/2 s^4. The standard error assumes noise that is independent between
+    pixels, of any distribution: it is large if two references have a firefly in the same pixel.
     """
     x, references = image.astype(np.float64), [part.astype(np.float64) for part in parts]
     scale = exposure_for(np.mean(references, axis=0)) if exposed else 1.0

@@ -2,7 +2,7 @@
 """The meshes of a configuration, merged into one Mitsuba shape per BSDF.
 
 Parts are transformed to world space in double precision and joined by BSDF, emission and vertex layout. A
-room of 775 meshes becomes 35 shapes, which load faster and are traced as fast (docs/decisions/0007). A table
+room of 775 meshes becomes 35 shapes, which load faster and trace equally fast (docs/decisions/0007). A table
 maps triangles to instances. The texture coordinate v points up in files and down in Mitsuba; it is flipped
 here.
 """
@@ -87,7 +87,7 @@ class MeshGroup:
 
 
 def in_world(mesh: Mesh, world_from_part: NDArray[np.float64], uv_scale: float) -> Mesh:
-    """Transform a part by :meth:`Mesh.placed`, multiply its UVs by ``uv_scale``, and reverse v."""
+    """Transform a part by :meth:`Mesh.placed`, multiply its UVs by ``uv_scale``, and flip v."""
     world = mesh.placed(world_from_part)
     if mesh.uv is None:
         return world
@@ -96,7 +96,7 @@ def in_world(mesh: Mesh, world_from_part: NDArray[np.float64], uv_scale: float) 
 
 
 def split_by_uv_handedness(mesh: Mesh) -> list[tuple[bool, Mesh]]:
-    """Split ``mesh`` (v downwards) by UV handedness into pairs (whether mirrored, non-empty mesh)."""
+    """Split ``mesh`` (v downwards) by UV handedness into pairs (is mirrored, non-empty mesh)."""
     assert mesh.uv is not None
     corners = mesh.uv.astype(np.float64)[mesh.faces]
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]

@@ -145,7 +145,7 @@ def _directional(light: DirectionalLight, problems: Problems) -> Any:
 
 
 def area_light_mesh(light: AreaLight) -> Mesh:
-    """World-space mesh of an area light, whose front, with the normal edge_u x edge_v, emits light."""
+    """World-space mesh of an area light, which emits on the side of its normal edge_u x edge_v."""
     origin, u, v = (np.asarray(a, dtype=np.float64) for a in (light.origin_m, light.edge_u_m, light.edge_v_m))
     if light.shape == "rectangle":
         corners = np.stack([origin, origin + u, origin + u + v, origin + v])

@@ -39,14 +39,14 @@ class SurfaceMaterial:
 
     @property
     def needs_uv(self) -> bool:
-        """Whether any channel is an image."""
+        """True if any channel is an image."""
         return bool(self.material.textures())
 
 
 def resolve_materials(
     placed: PlacedAsset, package: Package, library: Library, problems: list[Problem]
 ) -> dict[str, SurfaceMaterial]:
-    """Map the slots of a placed asset to materials; omit slots with faults, and add these to ``problems``."""
+    """Map the slots of a placed asset to materials; omit faulty slots and add faults to ``problems``."""
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)
     where = f"configuration: {placed.name}"

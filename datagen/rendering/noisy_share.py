@@ -12,11 +12,11 @@ firefly occurs in only one half and makes the product negative. The noisy image 
     g max(0, 1 - v / ((a - F)(b - F)))
 
 where v is the variance of a half: a shrinkage towards F (James and Stein 1961; for renderings Gu,
-Iglesias-Guitian and Moon 2022) that keeps F wherever noise may explain the difference. v is scaled by the
-darker of F and N, and pooled, because two halves give a poor estimate of a pixel's variance. The gate g rises
-from 0 to 1 as the brightest source around the pixel that is in both halves and F rises from
-``FAINTEST_SOURCE`` to ``BRIGHT_SOURCE``. Without it, samples that are low by chance would count as dark
-surfaces (decision 78).
+Iglesias-Guitian and Moon 2022) that keeps F wherever noise may explain the difference. Two halves give a poor
+estimate of a single pixel's variance, so v is the relative variance averaged over neighbouring pixels, times
+the lower power of F and N. The gate g rises from 0 to 1 as the luminance of the brightest source nearby (in
+both halves and F) rises from ``FAINTEST_SOURCE`` to ``BRIGHT_SOURCE``. Without it, samples that are low by
+chance would count as dark surfaces (decision 78).
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 from datagen.foundation.color import exposure_for, luminance
 
 FAINTEST_SOURCE, BRIGHT_SOURCE = 4.0, 8.0
-"""Luminance, relative to the exposed image's white, of the sources at which the gate g is 0 and 1."""
+"""Luminance, relative to the exposed image's white, of the brightest pixel nearby at which g is 0 and 1."""
 REACH_PX = 5
-"""Side in pixels of the square around a pixel that is searched for such a source."""
+"""Side in pixels of the square around a pixel that is searched for a bright source."""
 NEAR_PX, WIDE_PX = 3, 15
 """Sides in pixels of the squares over which relative variances are averaged. The larger of the two means is
 used, since the pixel's own samples may miss noise that occurs nearby."""

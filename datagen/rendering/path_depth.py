@@ -24,8 +24,8 @@ MAX_DEPTH = 64
 def rms_reflectance(buffers: list[dict[str, NDArray[np.float32]]]) -> float:
     """Reflectance in [0, 1] that represents all surfaces in views with ``buffers``, (H, W, C) by name.
 
-    It is the largest root mean square of a channel over pixels, since the mean would underestimate the share
-    of light from bright surfaces; 0 without surfaces.
+    It is the root mean square over pixels, in the channel where that is largest; a plain mean would
+    underestimate the share of light from bright surfaces. 0 without surfaces.
     """
     squares, weight = np.zeros(3), 0.0
     for view in buffers:

@@ -81,7 +81,7 @@ def _opaque(kind: Any, values: np.ndarray) -> Any:
 
 
 def rays_through(view: tuple[Any, ...], position_px: Any) -> Any:
-    """Camera rays of a sensor's :attr:`PinholePixels.view` through film positions ``position_px``."""
+    """Rays through film positions ``position_px``, in pixels, of a sensor's :attr:`PinholePixels.view`."""
     origin, right, down, forward, centre, clip = view  # clip: near depth, and far minus near depth
     offset = position_px - centre
     ray = dr.zeros(mi.Ray3f, dr.width(position_px))
@@ -103,7 +103,7 @@ def outside_distance(scene: Any) -> float:
 class SunDisc(mi.Emitter):
     """Distant disc of uniform radiance; its light travels in ``direction``.
 
-    ``irradiance`` E [W/m^2] is that of a surface perpendicular to ``direction``. A disc of
+    ``irradiance`` E [W/m^2] refers to a surface perpendicular to ``direction``. A disc of
     ``angular_diameter_rad`` = 2 r has the radiance E / (pi sin^2 r). The emitter is flagged as a delta, since
     only emitter sampling can reach it.
     """

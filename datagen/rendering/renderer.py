@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 class SceneRenderer(PreparedScene):
     """Renders the views of one configuration.
 
-    Selects the recipe's Mitsuba variant. Default ``caches`` are those of the process. A given ``denoiser`` is
-    the only one (see :class:`Finishing`). ``is_enough`` may stop a view early. Raises the errors of
-    :class:`PreparedScene`.
+    Selects the recipe's Mitsuba variant. Default ``caches`` are those of the process. ``denoiser``, if given,
+    is also used for error estimates (see :class:`Finishing`). ``is_enough`` may stop a view early. Raises the
+    errors of :class:`PreparedScene`.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class SceneRenderer(PreparedScene):
 
     @property
     def denoiser(self) -> Denoiser | None:
-        """Denoiser of views that need more than the first pass; None if views are not denoised."""
+        """Denoiser of views, except those finished by the quick denoiser; None if views are not denoised."""
         return self._finishing.denoiser
 
     def view_job(self, index: int) -> ViewJob:

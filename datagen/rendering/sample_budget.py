@@ -45,8 +45,8 @@ QUICK_BIAS_PER_SPREAD = 1.5
 TILE_PX = 4
 """Side of the tiles that get the same number of samples; small, because edges and highlights are narrow."""
 AROUND_PX = 3
-"""Side of the squares over which errors are averaged, to suppress outliers, and of those over which these
-means are maximised, to add samples to edges whose halves agree by chance."""
+"""Side of the squares over which errors are averaged, to suppress outliers. A maximum filter of the same size
+then adds samples to edges where the halves agree by chance."""
 MAX_GROWTH = 4
 """Maximum factor by which a pass multiplies a tile's samples, since errors from few samples are imprecise."""
 MIN_SHARE = 0.05
@@ -117,8 +117,8 @@ class ErrorEstimate:
     def bound(self) -> float:
         """``rel_mse`` plus one standard error, which is recorded and compared with the target.
 
-        Sampling stops when an estimate is low, often by chance. In the median over finished views, the
-        estimate is three quarters of the true error, and the bound is equal to it (decision 70).
+        Sampling stops when an estimate is low, often by chance. Over finished views, the median estimate is
+        three quarters of the true error, and the median bound is equal to the true error (decision 70).
         """
         return self.rel_mse + self.standard_error
 
@@ -132,7 +132,7 @@ def estimate_error(
 ) -> ErrorEstimate:
     """Estimate the error of the mean of both halves. Arrays are (H, W, 3), except ``removed`` (H, W).
 
-    ``visible_emission``, free of noise, is added to the image and affects only its brightness. ``denoised``
+    ``visible_emission``, free of noise, affects only the exposure and the divisors of relMSE. ``denoised``
     are the denoised halves or, without a denoiser, the halves themselves. ``removed`` is the luminance that a
     clamp removed from each half. ``bias_per_spread`` is the prior of the denoiser's bias.
     """
@@ -159,8 +159,8 @@ def estimate_error(
 def _squared_bias(expected: float, measured: float, bias_error: float) -> tuple[float, float]:
     """Estimate the squared bias of a denoised half, and the standard error of the estimate.
 
-    The prior ``expected`` has an equal standard deviation, or a larger one if the measurement exceeds it by
-    more than ``bias_error`` explains. Prior and measurement are averaged with weights 1 / variance, and
+    The prior has the mean and standard deviation ``expected``, or a larger deviation if ``measured`` exceeds
+    it by more than ``bias_error`` explains. Prior and measurement are averaged with weights 1 / variance, and
     negative means are clamped to 0.
     """
     variance = bias_error**2
@@ -178,23 +178,22 @@ def _squared_bias(expected: float, measured: float, bias_error: float) -> tuple[
 class SampleBudget:
     """Stopping criterion: a target for the estimated relMSE, and a maximum number of samples per pixel.
 
-    The maximum, at least 2, is a mean over the image, which determines the cost of a view. Both halves have
-    equal numbers of samples in each pixel. The first pass is uniform; each later one adds samples to tiles
-    whose denoised halves differ, as many as the target is expected to require, but at most twice the previous
-    total.
+    The maximum, at least 2, is a mean over the image. Both halves have equal numbers of samples in each
+    pixel. The first pass is uniform; each later one adds samples to tiles whose denoised halves differ, as
+    many as the target is expected to require, but at most twice the previous total.
     """
 
     max_rel_mse: float
     max_samples: int
 
     def is_met(self, estimate: ErrorEstimate) -> bool:
-        """Whether the estimate's ``bound`` is at most the target."""
+        """Return whether the estimate's ``bound`` is at most the target."""
         return estimate.bound <= self.max_rel_mse
 
     def first_counts(self, shape: tuple[int, int]) -> NDArray[np.int64]:
         """Samples (H, W) of one half in the first pass, for images of ``shape`` (H, W).
 
-        These are all that the maximum permits if it is too small for a second pass.
+        If the maximum is too small for a second pass, the first pass uses all of it.
         """
         is_only = self.max_samples < FIRST_SAMPLES + 2 * SAMPLE_STEP
         return np.full(shape, (self.max_samples if is_only else FIRST_SAMPLES) // 2, np.int64)
@@ -257,8 +256,8 @@ def _distribute(
     """Increase the tiles' sample ``counts`` by at most ``added`` per pixel on average; all arrays (R, C).
 
     If errors are inversely proportional to counts, as variances are, their sum is minimal for counts
-    proportional to the root of error x count. No count falls or grows by more than the factor ``MAX_GROWTH``,
-    and samples are added in multiples of ``SAMPLE_STEP``.
+    proportional to the root of error x count. No count decreases, and each grows by at most the factor
+    ``MAX_GROWTH``, in multiples of ``SAMPLE_STEP``.
     """
     wanted = np.sqrt(errors * counts)
     most = float(((counts + added) * areas).sum())

@@ -246,7 +246,7 @@ class _Builder:
 
 
 def uv_scale_of(surface: SurfaceMaterial, part: Part, world_from_part: NDArray[np.float64]) -> float:
-    """UV scale of a part: as assigned, else for the real size of an assigned material, else 1."""
+    """UV scale of a part: as assigned, else one that gives an assigned material its real size, else 1."""
     if surface.uv_scale is not None:
         return surface.uv_scale
     tile_size_m = surface.material.tile_size_m

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Interleaves the views of a scene; one is traced while another is denoised."""
+"""Interleaves the rendering of views: one is traced while another is denoised."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MAX_IN_FLIGHT = 2
 
 Result = TypeVar("Result")
 Steps = Generator[Future, None, Result]
-"""Steps of a view on the calling thread; yields the future whose result the next step needs."""
+"""Generator that runs a view's steps on the calling thread and yields the future that the next step needs."""
 
 
 @dataclass

@@ -52,7 +52,7 @@ class MergedShapeMaterials(SceneMaterials):
         self._hide(built, registry)
 
     def _bsdfs_with_lights(self, built: BuiltScene, registry: NDArray[np.int64]) -> Any:
-        """Evaluator by registry index of all shapes, including lights."""
+        """Index of the channel evaluator of each shape, including lights, by registry index."""
         problems = Problems("scene")
         evaluator = np.array(self._evaluator_of_shape)
         for shape, index in zip(built.scene.shapes(), registry, strict=True):
@@ -79,7 +79,7 @@ class MergedShapeMaterials(SceneMaterials):
         return [*super().tables(), self._bsdf_of_shape]
 
     def reflecting_channels_at(self, si: mi.SurfaceInteraction3f, active: Array) -> SurfaceChannels:
-        """Channels at the hit ``si`` like :meth:`channels_at`, with those of the surfaces of lights."""
+        """Return channels at the hit ``si`` like :meth:`channels_at`, but also for the surfaces of lights."""
         return self._evaluated(self._bsdf_of_shape, si, active)
 
     def shape_index(self, si: mi.SurfaceInteraction3f) -> Array:

@@ -92,7 +92,7 @@ class TextureCache:
         *,
         flip_green: bool = False,
     ) -> Any:
-        """Return the Mitsuba texture of a material channel, for a constant as a dictionary.
+        """Return the Mitsuba texture of a material channel, or its dictionary for a constant.
 
         ``flip_green`` is for normal maps on mirrored UVs. Raises :class:`InputError` for unreadable images
         and for images with NaN or Inf.

@@ -44,9 +44,9 @@ COARSE_SAMPLES = 16
 MIN_LIT = 0.05
 """Minimum share of lit pixels in the coarse image for fireflies to be clamped."""
 EDGE_PX, EDGE_SAMPLES = 2, 8
-"""Distance around uncovered pixels within which emission is traced, since the samples of the ground truth
-miss thin gaps, and factor of the number of samples there, since a single one that hits the sky may be a
-hundred times as bright as the pixel."""
+"""Distance from pixels not fully covered by surface within which emission is traced, since the ground truth's
+samples miss thin gaps; and factor on the number of samples there, since a single sample that hits the sky may
+be a hundred times as bright as the pixel."""
 QUICK_SAMPLES = 16
 """Maximum mean samples per pixel for ``quick_denoiser``. For the same error, it requires a quarter more
 samples; up to this number, these take less time than the better denoiser."""
@@ -72,7 +72,8 @@ class RenderedView:
 
 
 IsEnough = Callable[[int, NDArray[np.floating], ErrorEstimate], bool]
-"""Whether a view may stop above its target error, as a function of its index, image (H, W, 3) and error."""
+"""Function that returns whether a view may stop above its target error; its arguments are the view's index,
+image (H, W, 3) and error."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +81,8 @@ class Finishing:
     """Denoisers and stopping criteria of views.
 
     If ``budget`` is None, the recipe's number of samples is used. ``is_enough`` may stop a view above its
-    target error. Errors of up to ``QUICK_SAMPLES`` samples are those of ``quick_denoiser``; a view that stops
-    there is the mean of its halves so denoised, and others are denoised again by ``denoiser``.
+    target error. Up to ``QUICK_SAMPLES`` samples, halves are denoised by ``quick_denoiser`` to estimate the
+    error; a view that stops there is the mean of these halves. All others are denoised by ``denoiser``.
     """
 
     denoiser: Denoiser | None
@@ -107,7 +108,7 @@ class ViewJob:
         self.seconds: dict[str, float] = {}
         self.halves = [PathSums(), PathSums()]
         self.estimate: ErrorEstimate | None = None
-        self._reflected: NDArray[np.float32] | None = None  # mean of the halves, if it is the image
+        self._reflected: NDArray[np.float32] | None = None  # mean of quickly denoised halves, if final
         self.is_enough = False
         self._guides: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
         with self._timed("buffers"):
