@@ -46,10 +46,10 @@ Array = Any
 MAX_LANES = 1 << 19
 """Maximum number of light paths per launch, of about 300 bytes each; larger views need several launches."""
 FIRST_SEGMENTS = 2
-"""Segments after which the paths that have not ended are packed; later launches are half as long as all
-before."""
+"""Number of segments before unfinished paths are first packed; each later launch traces half as many segments
+as all earlier ones together."""
 MIN_PACKED = 1 << 14
-"""Minimum number of paths that are packed; fewer are traced to their ends at once."""
+"""Minimum number of unfinished paths that are packed; fewer are traced to their ends in one launch."""
 UNLIMITED = 0xFFFFFFFF
 MIN_SPECULAR_SURVIVAL = 0.2
 """Minimum probability that a path whose diffuse light is cached continues along the specular lobe."""
@@ -66,26 +66,26 @@ def forget_recordings() -> None:
 
 
 class PathState:
-    """State of one path per lane between launches: a path is traced from its camera ray in several."""
+    """State of one path per lane, passed between the launches that continue the path."""
 
     DRJIT_STRUCT: ClassVar[dict[str, type]] = dict.fromkeys(
         ("walk", "sampler", "throughput", "direct", "indirect", "spread_m", "active"), object
     )
 
     def __init__(self, sampler: Any = None, ray: Any = None):
-        """Paths at the start of their camera rays; without arguments, an object to be filled."""
+        """Start paths at their camera rays; without arguments, create an object to be filled."""
         num = 1 if ray is None else dr.width(ray)
         self.walk = Walk(ray)  # current segment and previous vertex
         self.sampler = OwenSobol() if sampler is None else sampler
         self.throughput: Any = dr.full(mi.Color3f, 1.0, num)  # product of BSDF weights and roulette factors
         self.direct: Any = dr.zeros(mi.Color3f, num)  # radiance after at most one bounce
         self.indirect: Any = dr.zeros(mi.Color3f, num)  # radiance after two or more bounces
-        self.spread_m: Any = dr.zeros(mi.Float, num)  # side of the area over which the path has spread
+        self.spread_m: Any = dr.zeros(mi.Float, num)  # see irradiance_cache.spread_of
         self.active: Any = dr.full(mi.Bool, True, num)  # whether the path continues
 
 
 def _gathered(state: Any, lanes: Any) -> Any:
-    """Copy of a state, with the ``lanes`` (mi.UInt32) only."""
+    """Copy of a state with only the given ``lanes`` (mi.UInt32)."""
     if not isinstance(state, PathState | Walk | OwenSobol):
         return dr.gather(type(state), state, lanes)
     result = type(state)()
@@ -143,7 +143,7 @@ class PathTracer:
         self.forget_recordings()
 
     def gather_irradiance(self, sensors: Iterable[Any], seed: int) -> None:
-        """Estimate the irradiance cache, in which later paths may end, and light sampler from ``sensors``."""
+        """Gather the irradiance cache, in which later paths may end, and fit the light sampler."""
         self.use_sky_guide(self.sky_guide)
         if self.scene.emitters():
             with dr.suspend_grad():
@@ -171,7 +171,7 @@ class PathTracer:
     ) -> NDArray[np.float32]:
         """Mean radiance (H, W, 3) of ``num_samples`` paths per pixel, uniformly distributed over the pixel.
 
-        ``with_visible_emission`` False excludes :mod:`.visible_emission`. ``seed`` is taken modulo 2^32.
+        ``with_visible_emission`` False excludes light without a bounce. ``seed`` is taken modulo 2^32.
         """
         return self.accumulate(sensor, num_samples, seed, with_visible_emission=with_visible_emission).mean()
 
@@ -190,9 +190,8 @@ class PathTracer:
 
         If a path's light after two or more bounces exceeds ``limit`` in its largest channel, it is scaled
         down to the limit, and the removed luminance is summed too. Direct light, such as patches of sun, is
-        never clamped. ``grid`` (columns, rows) replaces the pixels by another division of the image.
-        ``before`` is the number of samples that each cell already has with this seed, whose sequence the new
-        ones continue.
+        never clamped. ``grid`` (columns, rows) divides the image into larger cells than pixels. ``before`` is
+        the number of samples already drawn in each cell with this seed; new ones continue the sequence.
         """
         width, height = grid or tuple(int(v) for v in sensor.film().crop_size())
         wanted = np.broadcast_to(np.asarray(num_samples, np.int64), (height, width)).ravel()
@@ -226,8 +225,8 @@ class PathTracer:
     ) -> list[NDArray[np.float64]]:
         """Sum ``count`` samples for each of N entries; return red, green, blue, removed luminance, (N,) each.
 
-        ``entries`` are the index (N,), row by row, of a cell of an image of ``size`` (columns, rows), and the
-        first position (N,) in the cell's sequence of samples.
+        ``entries`` are row-major indices (N,) of cells in an image of ``size`` (columns, rows), and the index
+        (N,) of the first sample in each cell's sequence.
         """
         from datagen.rendering.plugins import rays_through  # needs a selected variant
 
@@ -258,8 +257,8 @@ class PathTracer:
     def sample(self, sampler: Any, ray: Array, with_visible_emission: bool = True) -> tuple[Any, Any]:
         """Trace one path per camera ray; return radiance after at most one bounce, and after more.
 
-        The lanes of a vector wait for the longest of its paths. Paths that have not ended after
-        ``FIRST_SEGMENTS`` segments are therefore packed and continued in launches of their own.
+        All lanes of a vector take as long as the longest of their paths. Paths that have not ended after
+        ``FIRST_SEGMENTS`` segments are therefore packed into adjacent lanes and continued in later launches.
         """
         num_paths = dr.width(ray)
         paths = PathState(sampler, ray)
@@ -320,14 +319,14 @@ class PathTracer:
             # ---- diffuse reflection of cached irradiance -------------------------------------------------
             active_emitter = active_next & is_seen
             channels = materials.reflecting_channels_at(si, active_next)
-            is_followed = mi.Bool(True)  # whether the lobes that remain are traced further
-            roulette = mi.Float(1.0)  # inverse probability of that
+            is_followed = mi.Bool(True)  # whether the remaining lobes are traced further
+            roulette = mi.Float(1.0)  # inverse probability of is_followed
             if dr.hint(cache is not None, mode="scalar"):
                 returns = active_next & is_seen & (walk.depth > 0)
                 spread = spread_of(walk.previous, walk.previous_pdf, si, walk.ray.d)
                 spread_m += dr.select(returns, spread, 0.0)
                 record = cache.record(si.p, facing_normal(si, walk.ray.d), active_next & is_seen)
-                is_last = walk.depth + 2 >= self.max_depth  # the cache includes light of longer paths
+                is_last = walk.depth + 2 >= self.max_depth  # here the cache replaces light of longer paths
                 cached, is_cached = cache.mean_radiance(
                     si, walk.ray.d, record, spread_m, is_last, sampler.next_2d(), returns
                 )

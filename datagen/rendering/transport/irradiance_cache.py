@@ -4,11 +4,11 @@
 Most of a path's time and variance is due to the segments after its first bounce, where all views of a room
 need the same quantity, the irradiance of the walls. Surfaces are divided into cells (cubes, each split by six
 orientations), and the irradiance E of each cell is estimated beforehand from all cameras together
-(:mod:`.irradiance_gathering`). Where a path has spread over more than a few cells, its surface's diffuse lobe
-reflects (1 - S) D E / pi, and only the specular lobe is traced further. This is final gathering (Reichert
-1992) from an irradiance cache (Ward, Rubinstein and Clear 1988) whose records are means over cells.
-Sufficient spread is defined as by Mueller et al. (Real-time Neural Radiance Caching, 2021), by the area that
-corresponds to the densities of the path's directions. docs/decisions/0075 states the neglected effects.
+(:mod:`.irradiance_gathering`). Where a path has spread over more than a few cells, the diffuse lobe of the
+surface reflects (1 - S) D E / pi, and only the specular lobe is traced further. This is final gathering
+(Reichert 1992) from an irradiance cache (Ward, Rubinstein and Clear 1988) whose records are means over cells.
+A path's spread is measured as in Mueller et al. (Real-time Neural Radiance Caching, 2021), by the area over
+which its sampled directions scatter, 1 / density. docs/decisions/0075 states the neglected effects.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from mitsuba_plugins.arrays import aligned
 Array = Any
 
 PRIOR_SAMPLES = 4.0
-"""Weight of the mean of the neighbourhood in that of a cell, in samples."""
+"""Weight, in samples, of the neighbourhood's mean as a prior of a cell's mean."""
 LEVELS = 3
 """Number of nested neighbourhoods; each has twice the side of the next smaller one."""
 MIN_SPREAD = 8.0
 """Minimum spread, in cell sides, for a path to end in the cache."""
 MAX_SIDE_M, MIN_CELLS_ACROSS = 0.06, 80
-"""Maximum side [m] of a cell, and minimum number of cells along the longest side of a scene; in very large
-scenes, memory bounds both."""
+"""Maximum side [m] of a cell, and minimum number of cells along the longest side of a scene. In very large
+scenes, cells are larger, to bound memory."""
 BRICK = 8
-"""Number of cubes along each axis of a brick."""
+"""Number of cubes along each axis of a brick, the unit of storage."""
 CELLS_PER_BRICK = 6 * BRICK**3
 _UNKNOWN, _THIN, _UNIFORM = 0.0, 1.0, 2.0
-"""States of records: without irradiance, of cells with opposite surfaces, and of all others."""
+"""States of records: unknown irradiance, cells with opposite surfaces, and all others."""
 MAX_BRICKS, MAX_GRID = 1 << 12, 1 << 22
-"""Maximum number of bricks, and of bricks and gaps in the grid of all."""
+"""Maximum number of stored bricks, and of bricks in the whole grid, including empty ones."""
 
 
 class SurfaceCells:
@@ -54,7 +54,7 @@ class SurfaceCells:
         longest = float(np.ptp(points_m, axis=0).max())
         side = min(MAX_SIDE_M, longest / MIN_CELLS_ACROSS)
         while True:
-            low = points_m.min(axis=0) - 0.5 * side  # walls are not at the border of the grid
+            low = points_m.min(axis=0) - 0.5 * side  # keeps walls off the border of the grid
             bricks = ((points_m - low) / (side * BRICK)).astype(np.int64)
             grid = bricks.max(axis=0) + 1
             if grid.prod(dtype=float) <= MAX_GRID:
@@ -86,7 +86,7 @@ class SurfaceCells:
         return orientation, self._low_of_brick[brick - 1] + np.stack(local, axis=-1)
 
     def index(self, point: Array, normal: Array, active: Array = True) -> tuple[Any, Any]:
-        """Return the cell index of a surface point and its normal, and whether there is such a cell."""
+        """Return the cell index of a surface point with ``normal``, and whether the cell is in a brick."""
         position = dr.floor((point - self.low) / self.side)
         is_inside = dr.all((position >= 0.0) & (position < mi.Vector3f(self.counts))) & active
         cube: Any = mi.Vector3u(dr.select(is_inside, position, 0.0))
@@ -107,9 +107,9 @@ class IrradianceCache:
     """Irradiance by cell, as sums of samples and as means for kernels.
 
     Each cell with samples has a record, numbered from 1; all other cells share record 0. Irradiance varies
-    strongly within *thin* cells, which contain opposite surfaces, such as blinds, boards and gaps; paths do
-    not end there. ``light_weights`` (records + 1, T) are the weights of the light sampler's techniques, valid
-    after :meth:`finish`: square roots of the second moments of their contributions.
+    strongly within *thin* cells, which contain opposite surfaces, such as blinds, boards and gaps; paths end
+    there only at the maximum depth. ``light_weights`` (records + 1, T) are weights of the light sampler's T
+    techniques, valid after :meth:`finish`: the square roots of their contributions' second moments.
     """
 
     def __init__(self, cells: SurfaceCells, num_techniques: int = 0):
@@ -160,7 +160,7 @@ class IrradianceCache:
             around = (added + prior * around) / (total + prior)[:, None]
             prior = PRIOR_SAMPLES
         means[1:] = around
-        means[0, 3:] = sums[:, 3:].sum(axis=0)  # cells without a record share the sum over all others
+        means[0, 3:] = sums[:, 3:].sum(axis=0)  # cells without a record share the sum over all records
         self._upload(means[:, :3])
         self.light_weights = np.sqrt(means[:, 3:])
 
@@ -176,14 +176,14 @@ class IrradianceCache:
         return np.isin(place + (orientation ^ 1), place + orientation)
 
     def record(self, point: Array, normal: Array, active: Array) -> Array:
-        """Record number of a surface point and its normal; 0 for none."""
+        """Record number of a surface point with ``normal``; 0 for none."""
         cell, is_inside = self.cells.index(point, normal, active)
         return dr.gather(mi.UInt32, self.records, cell, is_inside)
 
     def irradiance(self, record: Array, is_last: Array, active: Array) -> tuple[Any, Any]:
         """Irradiance (Color3f) of a record, and whether a path may end there.
 
-        It may do so in thin cells only if it ``is_last``, where it would be cut off otherwise.
+        In thin cells, it may end only at its last vertex (``is_last``), which would otherwise truncate it.
         """
         found: Any = dr.gather(mi.Vector4f, self.means, record, active)
         allowed = (found.w == _UNIFORM) | (is_last & (found.w == _THIN))
@@ -201,9 +201,9 @@ class IrradianceCache:
     ) -> tuple[Any, Any]:
         """Mean incident radiance E / pi at a hit, and whether a path of spread ``spread_m`` may end there.
 
-        Paths whose last vertex this is (``is_last``) may end wherever E is known. The lookup is jittered by
-        up to half a cell, by ``sample`` in [0, 1)^2, to blend neighbouring cells in the mean; if the jittered
-        cell has no record, ``record``, that of the hit, is used.
+        At their last vertex (``is_last``), paths may end wherever E is known. The lookup is jittered by up to
+        half a cell, by ``sample`` in [0, 1)^2, which blends neighbouring cells on average; if the jittered
+        cell has no record, the hit's ``record`` is used.
         """
         normal = facing_normal(si, direction)
         is_wide = active & (is_last | (spread_m > MIN_SPREAD * self.cells.side))
@@ -216,6 +216,6 @@ class IrradianceCache:
 
 
 def spread_of(previous: Any, pdf: Array, si: Any, direction: Array) -> Array:
-    """Side [m] of the area at hit ``si`` over which a direction of density ``pdf`` [1/sr] spreads."""
+    """Side [m] of the area 1 / density at hit ``si`` of a direction sampled with density ``pdf`` [1/sr]."""
     cosine = dr.maximum(dr.abs(dr.dot(si.n, direction)), 1e-3)
     return dr.norm(si.p - previous.p) * dr.rsqrt(dr.maximum(pdf * cosine, 1e-30))

@@ -45,9 +45,9 @@ BOX_PERCENTILE = 0.2
 MIN_HITS = 64
 """Minimum number of hits on surfaces for gathering a cache."""
 BOUNCES = 3
-"""Number of bounces before a path's last recorded vertex, beyond which it continues to known irradiance."""
+"""Number of bounces before a path's last recorded vertex; from there, it continues to known irradiance."""
 WARM_UP_BOUNCES = 64
-"""Maximum number of bounces of a path, large since later rounds lengthen paths slowly."""
+"""Maximum number of bounces of a path; large, since each later round adds only a few bounces of light."""
 MIN_SURVIVAL, MAX_SURVIVAL = 0.05, 0.95
 """Bounds of the probability that Russian roulette continues a path beyond the recorded vertices."""
 WARM_UP, ROUNDS = 6, 12
@@ -93,7 +93,7 @@ def gather_irradiance(
         index = dr.opaque(mi.UInt32, number) + dr.zeros(mi.UInt32, dr.width(lane))
         numbers = OwenSobol(index, mi.sample_tea_32(chosen, launch)[0])
         ray = dr.gather(mi.Ray3f, rays, chosen)
-        dr.make_opaque(ray, numbers)  # else rounds with fewer rays have another kernel
+        dr.make_opaque(ray, numbers)  # otherwise, rounds with fewer rays need another kernel
         with undisturbed():
             vertices = recorded(emitters.scene, ray, numbers, dr.opaque(mi.Bool, is_warm))
         dr.eval(vertices)
@@ -175,7 +175,7 @@ def _walk(
     irradiance: list[Any] = [mi.Color3f(0.0) for _ in range(BOUNCES + 1)]  # accumulated so far
     techniques: list[Any] = [mi.UInt32(0) for _ in range(BOUNCES + 1)]  # technique of the shadow ray
     contributions: list[Any] = [mi.Float(0.0) for _ in range(BOUNCES + 1)]  # see :func:`_attributed`
-    # Derivative of that irradiance by the radiance that arrives at the path's end
+    # Derivative of that irradiance with respect to the radiance that arrives at the path's end
     throughput: list[Any] = [mi.Color3f(0.0) for _ in range(BOUNCES + 1)]
     active = mi.Bool(True)  # lanes whose path continues
     while active:
@@ -198,7 +198,7 @@ def _walk(
         arriving = emitted * weight + dr.select(is_known, INVERSE_PI * diffuse * known, 0.0)
 
         # ---- Russian roulette beyond the recorded vertices -------------------------------------------------
-        # A path continues until its irradiance is known; assuming 0 adds bias.
+        # Paths continue to a cell of known irradiance, since assuming 0 elsewhere would add bias.
         bounces = arrives & hits & ~is_last
         specular = channels.fresnel(si.wi)
         reflectance = specular + dr.select(is_known, 0.0, diffuse)
@@ -207,7 +207,7 @@ def _walk(
         bounces &= numbers.next_1d() < survival
 
         # ---- direct light at this vertex ------------------------------------------------------------------
-        # Directions are cosine-distributed, for the irradiance, or distributed as light is reflected.
+        # Directions follow a mixture of the cosine, for irradiance, and the BSDF, for reflected light.
         channels = replace(channels, diffuse_albedo=dr.select(is_known, 0.0, channels.diffuse_albedo))
         lobes = SurfaceLobes(channels, si, bounces, materials.has_mapped_normals)
         share = dr.select(is_recorded, 1.0 - 0.5 * dr.max(specular), 0.0)  # of cosine-distributed directions
@@ -255,9 +255,9 @@ def _walk(
 def _attributed(
     light_sampler: LightSampler | None, point: Any, ds: Any, radiance: Any, direct: Any
 ) -> tuple[Any, Any]:
-    """Return a shadow ray's technique, and luminance of ``direct`` x square root of technique probability.
+    """Return a shadow ray's technique, and the luminance of ``direct`` times sqrt(technique probability).
 
-    The mean square of the latter over all rays is the second moment over the technique's rays.
+    The mean square of this product over all rays is the second moment E_k[f^2] of :mod:`.light_sampler`.
     """
     if light_sampler is None:
         return mi.UInt32(0), mi.Float(0.0)

@@ -184,7 +184,7 @@ def uniform_sampler(scene: Any, guide: SkyGuide | None) -> LightSampler | None:
 
 
 def whole_slots(weights: NDArray[np.float64], num_slots: int = SLOTS) -> NDArray[np.int64]:
-    """Slots (P, T) of each technique: ``num_slots`` per row, at least one each, by ``weights`` (P, T)."""
+    """Divide ``num_slots`` slots per row by ``weights`` (P, T), at least one each; return counts (P, T)."""
     total = weights.sum(axis=1, keepdims=True)
     uniform = np.full_like(weights, 1.0 / weights.shape[1])
     parts = np.divide(weights, total, out=uniform, where=total > 0.0)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Finds the box around a room on whose faces the sky guide (:mod:`.sky_guide`) represents openings.
 
-A window is a sharp distribution over the cells of a face only if the face lies in its plane. Views through
-windows also visit points outside, so the box around all visited points may extend far beyond them. Faces are
-therefore moved inwards while this raises the mean logarithm of the density that a guide has along the rays
+A window is a sharp distribution over the cells of a face only if the face lies in its plane. Camera paths
+through windows also hit points outside, so the box around all visited points may extend far beyond the room.
+Faces are therefore moved inwards while this raises the mean logarithm of the guide's density over the rays
 observed to escape, which minimises the divergence of the guide from their distribution (as in Vorba et al.,
 On-line Learning of Parametric Mixture Models for Light Transport Simulation, 2014).
 """
@@ -28,8 +28,8 @@ CELLS = 32
 PERCENTILE = 2.0
 """Percentage of the visited points left out beyond each face of the largest box."""
 MARGIN = 0.025
-"""Margin of the box on each side, which keeps walls inside, as a fraction of the longest side of a box that
-leaves out MARGIN_PERCENTILE of the points beyond each face and so hardly depends on surfaces outside."""
+"""Margin beyond each face, which keeps walls inside, as a fraction of the longest side of a core box. That
+box excludes MARGIN_PERCENTILE % of the points beyond each face and so hardly depends on surfaces outdoors."""
 MARGIN_PERCENTILE = 10.0
 INNER_PERCENTILES = (4, 6, 8, 10, 12.5, 15, 17.5, 20, 25, 30, 35, 40)
 """Percentages of the visited points left out beyond faces that were moved inwards."""
@@ -42,14 +42,14 @@ NUM_POINTS = 32768
 REGIONS = 24
 """Number of regions along the longest side of the box in which the share of escaping rays is estimated."""
 OUTER_DENSITY = 0.01
-"""Density [1/sr] assumed for rays outside the box, an eighth of a uniform one: a part of the room that a face
-excludes must not pay for a better fit of the rest."""
+"""Density [1/sr] assumed for rays outside the box, an eighth of a uniform one; it penalises boxes that
+exclude a part of the room to fit the rest better."""
 UNIFORM_SHARE = 0.1
-"""Weight of a uniform distribution over all cells in the density, which bounds that of unobserved cells."""
+"""Weight of a uniform distribution over all cells in the density, which keeps unobserved cells above 0."""
 
 
 def room_box(observations: SkyObservations) -> NDArray[np.float64] | None:
-    """Box (2, 3): its lower and upper corner. None if all visited points are equal."""
+    """Lower and upper corner (2, 3) of the room's box; None if nearly all visited points are equal."""
     points = observations.points_m[:: max(1, len(observations.points_m) // NUM_POINTS)]
     outer = np.array([PERCENTILE, *INNER_PERCENTILES])
     planes = np.stack([np.percentile(points, share, axis=0) for share in (outer, 100.0 - outer)])
@@ -80,7 +80,7 @@ def room_box(observations: SkyObservations) -> NDArray[np.float64] | None:
 
 
 def _weights(observations: SkyObservations, box_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights (E,) of escaping rays: radiance x (1 - e) / e, with the share e of rays that escape nearby.
+    """Weights (E,) of escaping rays: radiance x (1 - e) / e, with the share e of nearby rays that escape.
 
     (1 - e) / e is the relative variance of finding the sky by chance. Points outside, from which most rays
     escape, need no guide.
@@ -105,7 +105,7 @@ def _log_density(
     directions: NDArray[np.float64],
     weights: NDArray[np.float64],
 ) -> float:
-    """Mean logarithm of the density [1/sr] of rays in a guide fitted to the others."""
+    """Weighted mean logarithm of the density [1/sr] of each ray in a guide fitted to all other rays."""
     is_inside = ((origins_m >= box_m[0]) & (origins_m <= box_m[1])).all(axis=1)
     inner = np.where(is_inside, weights, 0.0)
     if not inner.any():
@@ -117,7 +117,7 @@ def _log_density(
     density = share / cell_areas(box_m)[cell] * distance**2 / np.maximum(cosine, 1e-9)
     density = np.where(
         is_inside, np.maximum(density, 1e-30), OUTER_DENSITY
-    )  # 0 for rays that start on a face
+    )  # the bound prevents log 0 for rays that start on a face
     return float(weights @ np.log(density) / weights.sum())
 
 

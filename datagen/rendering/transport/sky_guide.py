@@ -37,7 +37,7 @@ from mitsuba_plugins.cells import cell_of
 Array = Any
 
 OPENINGS = 8
-"""Maximum number of groups of cells."""
+"""Maximum number of openings, which are groups of cells."""
 SMALLEST_MOMENT = 1e-9
 """Smallest probability x variance, in squares of the longest side, that is not rounding error."""
 TABLE = 1 << 13
@@ -68,9 +68,9 @@ class SkyGuide:
         share: float,
         brightest: float,
     ):
-        """``box_m`` (2, 3) are the lower and upper corner, ``probabilities`` (6 CELLS^2,) those of cells by
-        face, column and row; ``share`` is that of all openings in the shadow rays, ``brightest`` the maximum
-        luminance of the sky without its sun.
+        """``box_m`` (2, 3) are the lower and upper corner of the box, ``probabilities`` (6 CELLS^2,) those of
+        its cells by face, column and row; ``share`` is the fraction of shadow rays towards all openings
+        together, ``brightest`` the maximum luminance of the sky without its sun.
         """
         from datagen.rendering.plugins import outside_distance  # needs a selected variant
 
@@ -83,7 +83,7 @@ class SkyGuide:
         drawn = np.bincount(table, minlength=probabilities.size) / TABLE  # the tables' exact probabilities
         self.low, self.high = map(point_argument, box_m)
         self.brightest = dr.opaque(mi.Float, brightest)
-        # from which the environment's light arrives
+        # distance from which the environment's light arrives
         self.distance = dr.opaque(mi.Float, outside_distance(scene))
         self.table = mi.UInt32(table.astype(np.uint32))
         self.opening_of_cell = mi.UInt32(openings.astype(np.uint32))
@@ -125,7 +125,7 @@ class SkyGuide:
 
 
 def _position(cell: Array, sample: Array) -> Any:
-    """Position, relative to the box, of the point ``sample`` in [0, 1)^2 of a cell."""
+    """Position, in [0, 1]^3 of the box, of the point ``sample`` in [0, 1)^2 of a cell."""
     face, rest = cell // (CELLS * CELLS), cell % (CELLS * CELLS)
     column = (mi.Float(rest // CELLS) + sample.x) / CELLS
     row = (mi.Float(rest % CELLS) + sample.y) / CELLS
@@ -136,10 +136,10 @@ def _position(cell: Array, sample: Array) -> Any:
 
 
 def _openings(probabilities: NDArray[np.float64], side_m: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Opening (6 CELLS^2,) of each cell of a box with sides ``side_m`` (3,), by ``probabilities`` of sum 1.
+    """Group the cells of a box with sides ``side_m`` (3,) into openings; return their indices (6 CELLS^2,).
 
-    The opening with the largest moment, probability x variance of position along an axis, is divided at its
-    mean position, until there are OPENINGS or all consist of one cell.
+    ``probabilities`` (6 CELLS^2,) have the sum 1. The opening with the largest moment, probability x variance
+    of position along an axis, is split at its mean position, until there are OPENINGS or all are one cell.
     """
     places = _position(dr.arange(mi.UInt32, probabilities.size), mi.Point2f(0.0))
     positions = rows_from_vectors(places) * side_m / side_m.max()
@@ -157,7 +157,7 @@ def _openings(probabilities: NDArray[np.float64], side_m: NDArray[np.float64]) -
 
 
 def _table(weights: NDArray[np.float64]) -> NDArray[np.int64]:
-    """TABLE indices, each as often as its share of the ``weights`` (N,), as nearly as possible."""
+    """TABLE indices in [0, N), each repeated in proportion to its ``weights`` (N,), up to rounding."""
     cumulative = np.cumsum(weights) / weights.sum()
     return np.searchsorted(cumulative, (np.arange(TABLE) + 0.5) / TABLE)
 

@@ -28,8 +28,8 @@ class SkyObservations:
     """P surface points ``points_m`` (P, 3) with one cosine-distributed ray each; E of the rays escape.
 
     Escaping rays have ``origins_m`` (E, 3), ``directions`` (E, 3) and the luminance ``radiance`` (E,).
-    ``environment`` and ``others`` are the luminance of the mean irradiance at the points, by emitter
-    sampling, from the environment (sun included) and from all other lights.
+    ``environment`` and ``others`` are the luminance of the mean irradiance at the points, estimated by
+    emitter sampling, from the environment (sun included) and from all other lights.
     """
 
     points_m: NDArray[np.float64]
@@ -40,7 +40,7 @@ class SkyObservations:
     others: float
 
     def clamped_radiance(self) -> NDArray[np.float64]:
-        """Return ``radiance`` (E,) clamped to its 99.5th percentile, as rays hit the sun only by chance."""
+        """Return ``radiance`` (E,) clamped to its 99.5th percentile, since few rays hit the sun."""
         return np.minimum(self.radiance, np.percentile(self.radiance, RADIANCE_PERCENTILE))
 
     def sky_share(self) -> float:

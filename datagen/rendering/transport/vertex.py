@@ -38,7 +38,7 @@ class Walk:
         self.num_crossed: Any = dr.zeros(mi.UInt32, num)  # surfaces passed through so far
         self.previous: Any = dr.zeros(mi.Interaction3f, num)  # vertex of the last bounce
         self.previous_pdf: Any = dr.full(mi.Float, 1.0, num)  # density of the direction sampled there [1/sr]
-        self.previous_is_delta: Any = dr.full(mi.Bool, True, num)  # whether that bounce has no emitter sample
+        self.previous_is_delta: Any = dr.full(mi.Bool, True, num)  # True if there was no emitter sample there
         self.previous_record: Any = dr.zeros(
             mi.UInt32, num
         )  # irradiance cache record of that vertex; 0: none
