@@ -87,7 +87,7 @@ def check_normals(view: View, where: str) -> list[Fault]:
 
 
 def firefly_mask(view: View) -> NDArray[np.bool_]:
-    """Mask (H, W) of isolated pixels 20 times as bright as the medians of their 5x5 window and of the frame.
+    """Mask (H, W) of isolated pixels 20 times as bright as the median of both their 5x5 window and the frame.
 
     A firefly has at most 4 pixels, none within 2 pixels of lamps, openings or background.
     """
@@ -126,7 +126,7 @@ def check_fireflies(view: View, where: str) -> list[Fault]:
 
 
 def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
-    """Find a view that is black, flat or overexposed at the configuration's median ``exposure`` factor."""
+    """Report a view that is black, flat or overexposed at the configuration's median ``exposure`` factor."""
     light = luminance(np.nan_to_num(view["beauty"].astype(np.float32), posinf=_HALF_MAX))
     bright, middle = np.percentile(light, [95, 50])
     expected = "a visible scene"

@@ -132,8 +132,8 @@ def make_contact_sheet(
 ) -> Image.Image:
     """Draw a row per view (arrays by buffer name), labelled by ``names``, under the heading ``title``.
 
-    Buffers that no view has get no column. Every view has its own exposure; other scales are common. Raises
-    :class:`InputError` if there are no views or one lacks ``beauty``.
+    Buffers absent from all views get no column. Each view has its own exposure; the other scales are common
+    to all views. Raises :class:`InputError` if there are no views or one lacks ``beauty``.
     """
     from PIL import Image, ImageDraw
 

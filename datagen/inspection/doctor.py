@@ -108,7 +108,7 @@ def examine() -> list[Finding]:
 
 
 def _tried(name: str, look_up: Callable[[], str], is_required: bool) -> Finding:
-    """The finding of a function that raises :class:`InputError` if it finds nothing."""
+    """Return the result of ``look_up``, or the :class:`InputError` that it raises, as a finding."""
     try:
         return Finding(name, look_up(), True, is_required)
     except InputError as error:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Predicts time, disk space and memory of a recipe from two timed samples, or one if it has at most 4 views.
+"""Predicts time, disk space and memory of a recipe from timed samples of at most 4 and at most 8 views.
 
-Each sample plans one configuration with the recipe's settings but at most 4 or 8 views, and runs it through
-all stages in a temporary folder. Time and disk space are extrapolated linearly to all views and
-configurations; memory and the time of the statistics per view, linearly in a configuration's views.
+Each sample plans one configuration with the recipe's settings but fewer views, and runs it through all stages
+in a temporary folder. Time and disk space are proportional to the number of views and configurations. Memory,
+and the statistics' time per view, are extrapolated linearly in the number of views of a configuration.
 """
 
 from __future__ import annotations

@@ -93,8 +93,8 @@ def recheck(
 ) -> list[Rechecked]:
     """Render ``count`` random views again with ``samples`` paths per pixel, and compare them.
 
-    The recipe's seed selects the views. Faults and notes are added to ``report``; a configuration that is
-    damaged or whose assets have changed is skipped with a note, as are all without an index.
+    The recipe's seed selects the views. Faults and notes are added to ``report``. Configurations that are
+    damaged or whose assets have changed are skipped with a note; without an index, all are.
     ``progress(done, total)`` counts views. The arguments must pass :func:`check_recheck`.
     """
     try:

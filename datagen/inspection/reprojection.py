@@ -53,7 +53,7 @@ class Geometry:
 class Agreement:
     """Agreement of a view's depth with the points of another view; NaN for too few comparable points.
 
-    ``seen_through`` is the share of the points that are not occluded at whose depth the view has no surface;
+    ``seen_through`` is the share of unoccluded points behind which the view shows something farther away;
     ``median_residual`` is the median distance of the view's surface from the tangent planes at the points,
     relative to depth.
     """
@@ -116,7 +116,7 @@ def partners_of(index: int, count: int) -> list[int]:
 def check_reprojection(views: Sequence[Geometry], where: str) -> tuple[list[Fault], int]:
     """Return the faults of views that disagree with others, and the number of views that could be compared.
 
-    The worst view is removed with its pairs until all others are within the limits.
+    The view that exceeds its limits most is removed with its pairs, until all others are within the limits.
     """
     samples = [sample_points(view, index) for index, view in enumerate(views)]
     pairs = [
@@ -139,7 +139,7 @@ def check_reprojection(views: Sequence[Geometry], where: str) -> tuple[list[Faul
 def _excess(
     pairs: Sequence[tuple[int, int, Agreement]], index: int, view: Geometry
 ) -> tuple[float, str, str]:
-    """Larger ratio of a view's two median deviations to their limits, with a fault's got and expected."""
+    """Larger ratio of a view's two median deviations to their limits, and the texts of its fault."""
     mine = [agreement for a, b, agreement in pairs if index in (a, b)]
     through = float(np.median([agreement.seen_through for agreement in mine]))
     gaps = [a.median_residual for a in mine if not np.isnan(a.median_residual)]

@@ -76,7 +76,7 @@ def _run(jobs: list[ShardJob], workers: int) -> Iterable[Report]:
 
 
 def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
-    """Create a job per shard in the index (or folder, if it is unreadable); report the index's faults."""
+    """Create a job per shard in the index, or in the folder if the index is unreadable; report its faults."""
     report.applied["index"] += 1
     on_disk = sorted({*folder.glob("*.tar"), *folder.glob("shards/*.tar")})
     try:
@@ -143,8 +143,9 @@ def _check_split(index: DatasetIndex, where: str) -> list[Fault]:
 def expected_roughness(configuration: Configuration, library: Library) -> dict[str, float]:
     """Range of roughness of each material with a roughness texture, by its name in the views' records.
 
-    The range is the difference of the texture's 99th and 1st percentiles, with the configuration's roughness
-    offset added and clipped to [0, 1]. Raises :class:`InputError` if the library lacks an asset or an image.
+    The range is the difference of the texture's 99th and 1st percentiles after adding the configuration's
+    roughness offset and clipping to [0, 1], or the smallest for a material that is used several times. Raises
+    :class:`InputError` if the library lacks an asset or an image.
     """
     ranges: dict[str, float] = {}
     for placed in (configuration.environment, *configuration.objects):

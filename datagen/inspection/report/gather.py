@@ -74,7 +74,7 @@ class GatherJob:
 
 
 def cached(work: Callable[[Any], dict[str, Any]]) -> Callable[[Any], dict[str, Any]]:
-    """Store the results of ``work`` in a job's ``cache_path`` under its ``key``, and reuse them later.
+    """Decorator: store the results of ``work`` in a job's ``cache_path`` under its ``key``, and reuse them.
 
     Before ``work``, the job's folder ``tiles`` is removed.
     """
@@ -97,7 +97,7 @@ def cached(work: Callable[[Any], dict[str, Any]]) -> Callable[[Any], dict[str, A
 
 @cached
 def gather_shard(job: GatherJob) -> dict[str, Any]:
-    """Measure one shard; returns plain data and writes thumbnails, tiles and the configuration's script.
+    """Measure one shard; return plain data, and write thumbnails, tiles and the viewer's data (JavaScript).
 
     Raises :class:`InputError` if the shard is damaged or a view lacks a buffer.
     """

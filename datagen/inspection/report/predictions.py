@@ -60,7 +60,7 @@ class Method:
         return next((path for path in paths if path.is_file()), None)
 
     def covers(self, configuration: str) -> bool:
-        """Whether the method's folder may contain predictions of a configuration."""
+        """Return whether the method's folder may contain predictions of a configuration."""
         return (self.folder / configuration).is_dir() or self.own_configuration() == configuration
 
     def own_configuration(self) -> str | None:

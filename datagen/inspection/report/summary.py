@@ -306,7 +306,7 @@ def _extreme_views(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def plan_summary(configurations: Iterable[Configuration]) -> str:
-    """Describe in a few lines the surfaces that planned views show; '' if no configuration records them.
+    """Summarise the surfaces visible in planned views; '' if no configuration records them.
 
     The last line warns if the views of the training split lack metal or gloss.
     """
