@@ -107,7 +107,7 @@ def collect(
 
 
 def find_leftovers(root: Path) -> list[Path]:
-    """Sorted paths of the unneeded files and folders of planned units that are not in progress.
+    """Find unneeded files and folders of planned units that are not in progress; return sorted paths.
 
     Files with unknown names are ignored. Raises :class:`InputError` if there is no plan.
     """
@@ -147,7 +147,7 @@ def remove_leftovers(root: Path) -> list[Path]:
 
 
 def _is_needed(folder: DatasetFolder, unit: PlannedUnit, name: str, now: float) -> bool:
-    """Whether the file ``name`` is the unit's shard or may belong to a running attempt."""
+    """Return whether the file ``name`` is the unit's shard or may belong to a running attempt."""
     if age_of_attempt(folder.work_path(unit), now) < RUNNING_AGE_S:
         return True
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Interface of ``datagen farm`` to queues, to write and submit scripts and to find and cancel jobs.
+"""Interface of ``datagen farm`` to batch queues: writes and submits job scripts, finds and cancels jobs.
 
 An engine is a class that implements :class:`Engine`, with an entry in ``submission.ENGINES``. Even if a queue
 repeats or requeues a job, ``work_unit`` commits each result exactly once.
@@ -62,7 +62,7 @@ class Engine(Protocol):
 
 
 def job_name(root: Path) -> str:
-    """Name of the jobs of a dataset folder and of no others."""
+    """Return the name of a dataset folder's jobs, which is unique to the folder."""
     return f"datagen-{sha256_hex(str(root.resolve()).encode())[:10]}"
 
 

@@ -250,13 +250,13 @@ def unit_key(configuration: Configuration, recipe: Recipe, variant: str, version
 
 
 def rooms_of(path: Path) -> list[Path]:
-    """Return a list of the folder of generated rooms of the dataset ``path``; empty if it has none."""
+    """Return a list with the folder of generated rooms of the dataset ``path``; empty if it has none."""
     rooms = DatasetFolder(path).rooms_path
     return [rooms] if rooms.is_dir() else []
 
 
 def library_of(path: Path) -> list[Path] | None:
-    """Folders of a dataset's library and generated rooms; None if any or ``dataset.json`` is missing."""
+    """Folders of a dataset's library and generated rooms; None if one, or ``dataset.json``, is missing."""
     try:
         paths = DatasetFolder(path).library_paths()
     except InputError:

@@ -162,12 +162,12 @@ def _wrong_option(option: str, text: str) -> list[Problem]:
 
 
 def is_one_line(text: str) -> bool:
-    """Whether a text is a single line, encodable in UTF-8, without control characters."""
+    """Return whether a text is a single line, encodable in UTF-8, without control characters."""
     return not any(unicodedata.category(character) in _UNSAFE_CATEGORIES for character in text)
 
 
 def can_be_directive(text: str) -> bool:
-    """Whether Slurm reads ``text``, double-quoted in a directive, unchanged.
+    """Return whether Slurm reads ``text``, double-quoted in a directive, unchanged.
 
     Slurm treats a backslash as an escape, which in file names disables the replacement of ``%a``.
     """

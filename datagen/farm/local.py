@@ -86,7 +86,7 @@ class _Worker:
             self.connection.send((unit.index, str(log)))
 
     def is_spent(self, memory_mb: float, options: LocalOptions) -> bool:
-        """Whether the worker has run its maximum number of units or its memory has grown too much."""
+        """Return whether the worker has run its maximum number of units or its memory has grown too much."""
         if self.num_units == 1:
             self.first_memory_mb = memory_mb
         grown = memory_mb - self.first_memory_mb
@@ -187,7 +187,7 @@ class _LocalRun:
                 self._handle(worker, is_stopping=True)
 
     def _handle(self, worker: _Worker, is_stopping: bool = False) -> None:
-        """Handle a worker's message, or the end of its process, which is no failure if it is told to stop."""
+        """Handle a worker's message, or the end of its process, which is no failure if ``is_stopping``."""
         unit = worker.unit
         try:
             message = worker.connection.recv() if worker.connection.poll() else None
@@ -250,7 +250,7 @@ class _LocalRun:
 
 
 def _ready(workers: list[_Worker]) -> list[_Worker]:
-    """Wait up to 1 s, to react to signals, and return the workers that sent a message or ended."""
+    """Wait for workers that sent a message or ended, at most 1 s so that signals are handled; return them."""
     handles = {
         handle: worker for worker in workers for handle in (worker.connection, worker.process.sentinel)
     }

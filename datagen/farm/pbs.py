@@ -2,8 +2,8 @@
 """Runs a plan on PBS (OpenPBS, PBS Professional) in array jobs.
 
 PBS arrays have at least two members with consecutive numbers, so the script lists the unit of each member.
-PBS sends no signal before a time limit, so the script does. Unfinished units then submit themselves again as
-new jobs, as does the collecting job, under a name of its own, while units are left.
+PBS sends no signal before a time limit, so the script sends one. Jobs of unfinished units then resubmit
+themselves. The collecting job, which has a different name, resubmits itself while units are left.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ def start_folder(recipe: Recipe, library: Library, root: Path) -> DatasetFolder:
 
 
 _opened = cache(Library)
-"""The library of a process that assembles configurations, by its paths."""
+"""Function that opens a library, memoised by its paths in each process that assembles configurations."""
 
 
 def _assemble_one(recipe: Recipe, library_paths: tuple[Path, ...], folder: DatasetFolder, index: int) -> None:

@@ -2,7 +2,7 @@
 """Runs a plan on Slurm, or on any queue that can run one command per unit.
 
 Slurm may run a job twice, since it requeues the job of a lost node whose process may still run;
-``work_unit`` commits only one result. No job is identified by its id, as a restarted controller may reuse it.
+``work_unit`` commits only one result. Jobs are found by name, since a restarted controller may reuse ids.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def _directives(directives: dict[str, str | None], options: tuple[str, ...]) -> 
 
 
 def _shared_directives(root: Path, options: SlurmOptions) -> dict[str, str | None]:
-    """Directives common to array jobs and collecting job."""
+    """Directives common to the array jobs and the collecting job."""
     return {
         "job-name": job_name(root),
         "account": options.account,

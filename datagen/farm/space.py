@@ -37,7 +37,7 @@ def view_bytes(recipe: Recipe) -> int:
 
 
 def working_bytes(recipe: Recipe) -> int:
-    """Bound of the bytes of a view in progress, which is stored without and with statistics."""
+    """Upper bound on the bytes of a view in progress, which is stored twice, without and with statistics."""
     return 2 * view_bytes(recipe)
 
 

@@ -47,7 +47,7 @@ def submit(
     """Write job scripts for the unfinished units, and submit them unless ``dry_run``.
 
     Raises :class:`InputError` for faults of options, folder or queue and, if ``is_space_checked``, for a disk
-    without space for the shards and the views of ``throttle`` units in progress (1 if it is 0).
+    without space for the shards and for ``throttle`` units in progress (one if it is 0).
     """
     folder, queue = DatasetFolder(root), engine_of(engine)
     indices = [unit.index for unit in folder.read_plan().units if not folder.is_done(unit)]

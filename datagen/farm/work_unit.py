@@ -79,7 +79,7 @@ class UnitRun:
     def __post_init__(self) -> None:
         self.work = self.folder.work_path(self.unit)
         self.rendered_path, self.complete_path = self.work / "rendered", self.work / "complete"
-        # touched by a running attempt, by which datagen.farm.status recognises it
+        # touched by a running attempt, so that datagen.farm.status recognises it
         self.heartbeat_path = self.work / "running"
 
     def progress(self, stage: str, done: int, total: int) -> None:

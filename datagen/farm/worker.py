@@ -178,7 +178,7 @@ def run_unit_here(
     context = _WorkerContext(DatasetFolder(root), num_threads())
     unit = planned_unit(context.plan, root, index)
     if context.folder.is_done(unit):
-        return 0  # before the imports of rendering, which take most of the time of an empty task
+        return 0  # before importing the renderer, which takes most of the time of a task without work
     check_writable(root)
     check_variant(context.plan.variant)
     outcome, _ = _run_one(context, index, stages, report, lambda: bool(signals))

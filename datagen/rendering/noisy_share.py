@@ -14,8 +14,8 @@ firefly occurs in only one half and makes the product negative. The noisy image 
 where v is the variance of a half: a shrinkage towards F (James and Stein 1961; for renderings Gu,
 Iglesias-Guitian and Moon 2022) that keeps F wherever noise may explain the difference. Two halves give a poor
 estimate of a single pixel's variance, so v is the relative variance averaged over neighbouring pixels, times
-the lower power of F and N. The gate g rises from 0 to 1 as the luminance of the brightest source nearby (in
-both halves and F) rises from ``FAINTEST_SOURCE`` to ``BRIGHT_SOURCE``. Without it, samples that are low by
+the squared radiance of the darker of F and N. The gate g rises from 0 to 1 as the brightest source nearby,
+in both halves and F, rises from ``FAINTEST_SOURCE`` to ``BRIGHT_SOURCE``. Without it, samples that are low by
 chance would count as dark surfaces (decision 78).
 """
 
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from datagen.foundation.color import exposure_for, luminance
 
 FAINTEST_SOURCE, BRIGHT_SOURCE = 4.0, 8.0
-"""Luminance, relative to the exposed image's white, of the brightest pixel nearby at which g is 0 and 1."""
+"""Luminances of the brightest source nearby, relative to the exposed image's white, at which g is 0 and 1."""
 REACH_PX = 5
 """Side in pixels of the square around a pixel that is searched for a bright source."""
 NEAR_PX, WIDE_PX = 3, 15
