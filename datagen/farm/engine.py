@@ -41,7 +41,7 @@ class Engine(Protocol):
     def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:
         """Scripts that run ``datagen run FOLDER --unit INDEX`` for each of the ascending ``indices``.
 
-        The scripts repeat the command after exit code 75.
+        A queue's scripts run a unit again after exit code 75 (interrupted).
         """
 
     def collect(self, root: Path, options: SlurmOptions) -> Script | None:

@@ -17,7 +17,7 @@ _PACKED_SHARE = 0.4
 
 @dataclass(frozen=True)
 class SpaceNeed:
-    """Estimated bytes of the shards of ``num_units`` unfinished units, and of simultaneous work on them."""
+    """Estimated bytes of the shards of ``num_units`` unfinished units, and of the units in progress."""
 
     num_units: int
     shard_bytes: float

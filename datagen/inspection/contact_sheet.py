@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Contact sheets: one picture per configuration that shows its views.
 
-Rows are views, columns are buffers. Radiance is exposed by view so that few pixels clip, and sRGB-encoded;
+Rows are views, columns are buffers. Radiance is exposed per view so that few pixels clip, and sRGB-encoded;
 the exposure is written below the view's name. Albedos are sRGB-encoded without exposure; normals are mapped
 from [-1, 1]; roughness, depth and count use cividis, a colour map suitable for colour-blind readers, with a
 scale at the bottom. Pixels without a value (background, emitters) are hatched.

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Predicts time, disk space and memory of a recipe from timed samples of at most 4 and at most 8 views.
 
-Each sample plans one configuration with the recipe's settings but fewer views, and runs it through all stages
-in a temporary folder. Time and disk space are proportional to the number of views and configurations. Memory,
-and the statistics' time per view, are extrapolated linearly in the number of views of a configuration.
+Each sample plans one configuration with the recipe's other settings, and runs it through all stages in a
+temporary folder. Time and disk space are extrapolated linearly to all views and configurations; memory and
+the statistics' time per view are linear in a configuration's number of views.
 """
 
 from __future__ import annotations

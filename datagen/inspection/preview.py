@@ -35,7 +35,7 @@ class Preview:
         self.start = time.monotonic()
         self.path = root / PREVIEW_FILE
         self.said: list[str] = []
-        self._pictures: dict[str, str] = {}  # data URI by view, oldest first, since packing removes files
+        self._pictures: dict[str, str] = {}  # data URIs, oldest first; kept since packing removes the files
         self._known = set(self._views())
         self._next = 0.0
 

@@ -53,7 +53,7 @@ class Geometry:
 class Agreement:
     """Agreement of a view's depth with the points of another view; NaN for too few comparable points.
 
-    ``seen_through`` is the share of unoccluded points behind which the view shows something farther away;
+    ``seen_through`` is the share of unoccluded points at which the view's surface is farther away or missing;
     ``median_residual`` is the median distance of the view's surface from the tangent planes at the points,
     relative to depth.
     """

@@ -143,9 +143,8 @@ def _check_split(index: DatasetIndex, where: str) -> list[Fault]:
 def expected_roughness(configuration: Configuration, library: Library) -> dict[str, float]:
     """Range of roughness of each material with a roughness texture, by its name in the views' records.
 
-    The range is the difference of the texture's 99th and 1st percentiles after adding the configuration's
-    roughness offset and clipping to [0, 1], or the smallest for a material that is used several times. Raises
-    :class:`InputError` if the library lacks an asset or an image.
+    The range is the difference of the texture's 99th and 1st percentiles with the roughness offset, clipped
+    to [0, 1]; the smallest, if offsets differ. Raises :class:`InputError` if an asset or image is missing.
     """
     ranges: dict[str, float] = {}
     for placed in (configuration.environment, *configuration.objects):

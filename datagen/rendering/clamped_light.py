@@ -4,8 +4,7 @@
 Fireflies are paths of light that sampling rarely finds, such as caustics of a lamp in a mirror. Without their
 light, views would be up to 5 % darker. It is therefore spread over neighbouring pixels: the image is
 multiplied by 1 plus the share of light removed around each pixel, in the smallest neighbourhood with enough
-fireflies. If even a wide one has too few, their energy is uncertain and is restored only in part or not at
-all.
+fireflies. If even a wide one has too few, their energy is uncertain and at best restored in part.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ WIDE = 1.0 / 8.0
 COARSE_SIGMA_PX = 8.0
 """Standard deviation of wide Gaussians, in pixels of the downscaled image on which they are computed."""
 MIN_DENSE, MIN_SCATTERED = 10.0, 3.0
-"""Minimum numbers of equally bright fireflies for light to be restored, in these two neighbourhoods."""
+"""Minimum number of equally bright fireflies in the narrow and the wide Gaussian for restoring light."""
 
 
 def restored_share(level: NDArray[np.floating], removed: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -81,7 +81,7 @@ def make_bsdf(surface: SurfaceMaterial, textures: TextureCache, *, has_mirrored_
     """Create the ``cook_torrance`` BSDF of a material, wrapped in ``normalmap`` and ``mask`` if needed.
 
     ``has_mirrored_uv`` states whether the mesh's UVs are clockwise. Mitsuba's tangent frame, which is always
-    right-handed, flips the bitangent; the normal map's green channel is flipped to compensate.
+    right-handed, then flips the bitangent; the normal map's green channel is flipped to compensate.
     """
     import mitsuba as mi
 

@@ -54,7 +54,7 @@ MIN_SHARE = 0.05
 MIN_PASS = 0.1
 """Minimum size of a pass relative to all earlier samples, since every pass requires an error estimate."""
 MIN_ADDED = 1.0
-"""Minimum mean number of samples added to a half; they take about as long as the error estimate."""
+"""Minimum mean number of samples added to a half; fewer take less time than the error estimate after them."""
 SAMPLE_STEP = 4
 """Step of the number of samples added to a tile's half; multiples keep the lists of pixels short."""
 
@@ -115,7 +115,7 @@ class ErrorEstimate:
 
     @property
     def bound(self) -> float:
-        """``rel_mse`` plus one standard error, which is recorded and compared with the target.
+        """``rel_mse`` plus one standard error, the value that is recorded and compared with the target.
 
         Sampling stops when an estimate is low, often by chance. Over finished views, the median estimate is
         three quarters of the true error, and the median bound is equal to the true error (decision 70).

@@ -56,8 +56,8 @@ class BuiltScene:
     """A scene ready to render.
 
     ``instance_names`` and ``material_names`` map ids (from 1) to names. Instances are named ``placed/part``
-    for parts of the environment and ``placed`` for objects, materials by asset id or ``asset/slot``, with
-    ``#2`` and so on for further adjustments. ``face_instances`` maps shape ids to the instance id of each
+    for parts of the environment and ``placed`` for objects, materials by asset id or ``asset/slot``, with the
+    suffix ``#2`` etc. for other adjustments. ``face_instances`` maps shape ids to the instance id of each
     triangle, ``shape_materials`` to material ids. ``hidden_shapes`` are ids of lights hidden from the camera.
     """
 

@@ -86,7 +86,7 @@ def cached(work: Callable[[Any], dict[str, Any]]) -> Callable[[Any], dict[str, A
             earlier = json.loads(job.cache_path.read_bytes())
             if isinstance(earlier, dict) and earlier.get("key") == key:
                 return earlier
-        if job.tiles.is_dir():  # of an earlier report with other options
+        if job.tiles.is_dir():  # left by an earlier report with other options
             shutil.rmtree(job.tiles)
         result = {"key": key, **work(job)}
         write_bytes_atomically(job.cache_path, canonical_json(result), parents=True)

@@ -5,7 +5,7 @@ The estimator is that of Mitsuba's ``path`` (tests compare the two), extended by
 
 * lights hidden from the camera, and opacity in shadow rays (:mod:`.emitters`);
 * low-discrepancy samples in every pair of dimensions of a pixel (:mod:`.sobol`);
-* learned light sampling (:mod:`.light_sampler`) and a guide through openings (:mod:`.sky_guide`);
+* learned light sampling (:mod:`.light_sampler`) and sampling of the sky by openings (:mod:`.sky_guide`);
 * optionally, diffuse light from an irradiance cache after the first bounce (:mod:`.irradiance_cache`).
 
 There is no film; the samples of a pixel are adjacent in one array and are summed in order, so results have
@@ -60,7 +60,7 @@ _LIVE: weakref.WeakSet[PathTracer] = weakref.WeakSet()
 
 
 def forget_recordings() -> None:
-    """Drop the recorded kernels of all tracers; must precede any emptying of Dr.Jit's kernel cache."""
+    """Drop the recorded kernels of all tracers; required before Dr.Jit's kernel cache is emptied."""
     for tracer in list(_LIVE):
         tracer.forget_recordings()
 

@@ -26,7 +26,7 @@ from mitsuba_plugins.arrays import aligned
 Array = Any
 
 PRIOR_SAMPLES = 4.0
-"""Weight, in samples, of the neighbourhood's mean as a prior of a cell's mean."""
+"""Weight, in samples, of the neighbourhood's mean as a prior for a cell's mean."""
 LEVELS = 3
 """Number of nested neighbourhoods; each has twice the side of the next smaller one."""
 MIN_SPREAD = 8.0
@@ -183,7 +183,7 @@ class IrradianceCache:
     def irradiance(self, record: Array, is_last: Array, active: Array) -> tuple[Any, Any]:
         """Irradiance (Color3f) of a record, and whether a path may end there.
 
-        In thin cells, it may end only at its last vertex (``is_last``), which would otherwise truncate it.
+        In thin cells, only paths at their last vertex (``is_last``), which are truncated otherwise, may end.
         """
         found: Any = dr.gather(mi.Vector4f, self.means, record, active)
         allowed = (found.w == _UNIFORM) | (is_last & (found.w == _THIN))
@@ -216,6 +216,6 @@ class IrradianceCache:
 
 
 def spread_of(previous: Any, pdf: Array, si: Any, direction: Array) -> Array:
-    """Side [m] of the area 1 / density at hit ``si`` of a direction sampled with density ``pdf`` [1/sr]."""
+    """Side [m] of the area 1 / density at hit ``si``, for a direction with the density ``pdf`` [1/sr]."""
     cosine = dr.maximum(dr.abs(dr.dot(si.n, direction)), 1e-3)
     return dr.norm(si.p - previous.p) * dr.rsqrt(dr.maximum(pdf * cosine, 1e-30))

@@ -41,11 +41,11 @@ NUM_RAYS = 40960
 """Number of camera rays of all views together, independent of resolution since all views share the noise of
 the cache; each ray yields samples of irradiance at up to four vertices."""
 BOX_PERCENTILE = 0.2
-"""Percentage of the visited points left out at each end of each axis, such as distant landscape."""
+"""Percentage of the visited points, such as distant landscape, left out at each end of each axis."""
 MIN_HITS = 64
 """Minimum number of hits on surfaces for gathering a cache."""
 BOUNCES = 3
-"""Number of bounces before a path's last recorded vertex; from there, it continues to known irradiance."""
+"""Number of bounces before a path's last recorded vertex; the path then continues to known irradiance."""
 WARM_UP_BOUNCES = 64
 """Maximum number of bounces of a path; large, since each later round adds only a few bounces of light."""
 MIN_SURVIVAL, MAX_SURVIVAL = 0.05, 0.95

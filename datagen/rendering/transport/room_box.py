@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Finds the box around a room on whose faces the sky guide (:mod:`.sky_guide`) represents openings.
 
-A window is a sharp distribution over the cells of a face only if the face lies in its plane. Camera paths
+A window corresponds to a compact group of cells only if the face lies in the window's plane. Camera paths
 through windows also hit points outside, so the box around all visited points may extend far beyond the room.
 Faces are therefore moved inwards while this raises the mean logarithm of the guide's density over the rays
 observed to escape, which minimises the divergence of the guide from their distribution (as in Vorba et al.,

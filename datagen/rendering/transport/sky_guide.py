@@ -16,8 +16,8 @@ uniformly. The density
 of direction w, with the cell's area A_c and the cosine at the face, is then known for openings of any shape.
 The guide is thus a further technique of multiple importance sampling; a poor estimate adds no bias.
 
-From most points, only some of the openings are visible, all in front of the surface. Cells are therefore
-divided into groups, the *openings*, each with its own density, among which the light sampler chooses.
+From most points, only some of a room's windows are visible. Cells are therefore divided into groups, the
+*openings*, each with its own density, among which the light sampler chooses.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ MIN_SHARE = 0.1
 class SkyGuide:
     """Distributions of directions towards each of the openings, for points inside a box.
 
-    ``shares`` (openings,) are the fractions of shadow rays sampled from each opening while
-    :mod:`.light_sampler` has no estimates.
+    ``shares`` (openings,) are the fractions of shadow rays towards each opening until :mod:`.light_sampler`
+    has estimates.
     """
 
     def __init__(

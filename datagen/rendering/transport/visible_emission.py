@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Visible emission: light that reaches the camera from emitters and background without a bounce.
 
-It has no noise except at edges, where it is traced with more samples. It is never denoised, and added to the
+It has no noise except at edges, where it is traced with more samples. It is not denoised but added to the
 denoised reflected light.
 """
 
