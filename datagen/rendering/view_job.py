@@ -45,8 +45,8 @@ MIN_LIT = 0.05
 """Minimum share of lit pixels in the coarse image for fireflies to be clamped."""
 EDGE_PX, EDGE_SAMPLES = 2, 8
 """Distance from partly uncovered pixels within which emission is traced, since ground-truth samples miss thin
-gaps; and factor on the number of samples there, since a single sample that hits the sky may be a hundred times
-as bright as the pixel."""
+gaps; and factor on the number of samples there, since a single sample that hits the sky may be a hundred
+times as bright as the pixel."""
 QUICK_SAMPLES = 16
 """Maximum mean samples per pixel for ``quick_denoiser``. For the same error, it requires a quarter more
 samples; up to this number, these take less time than the better denoiser."""
