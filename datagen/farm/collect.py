@@ -2,7 +2,7 @@
 """Gathers the manifests of a dataset folder into its index, and removes files that killed attempts left.
 
 A crash between publication of a shard and its manifest leaves a tar file that no manifest names; an earlier
-crash leaves a partial one. A second process on a unit may write views after the first has committed it.
+crash leaves a partial file. If two processes run a unit, one may write views after the other's commit.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from datagen.library import Library
 
 COARSE_CELLS = 1024
-"""Approximate number of pixels of coarse images for path depth, sky guide and the firefly clamp's exposure."""
+"""Approximate number of pixels of coarse images for path depth, sky guide and the clamp's exposure."""
 MAX_COARSE_VIEWS = 8
 """Maximum number of views used for path depth and sky guide."""
 COARSE_MAP_SAMPLES = 4

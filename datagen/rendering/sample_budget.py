@@ -54,7 +54,7 @@ MIN_SHARE = 0.05
 MIN_PASS = 0.1
 """Minimum size of a pass relative to all earlier samples, since every pass requires an error estimate."""
 MIN_ADDED = 1.0
-"""Minimum mean number of samples added to a half; fewer take less time than the error estimate after them."""
+"""Minimum mean number of samples added to a half; tracing these takes about as long as the error estimate."""
 SAMPLE_STEP = 4
 """Step of the number of samples added to a tile's half; multiples keep the lists of pixels short."""
 

@@ -225,7 +225,7 @@ def _run_jobs(
 
 
 def _sheets(index: DatasetIndex, folder: Path, out: Path) -> dict[str, str]:
-    """Paths of contact sheets by configuration, relative to the page; empty for a page outside the dataset."""
+    """Paths of contact sheets by configuration, relative to the page; none for a page outside the dataset."""
     page, root = out.resolve(), folder.resolve()
     if not page.is_relative_to(root):  # the page may be moved without the dataset
         return {}

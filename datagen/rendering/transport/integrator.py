@@ -5,7 +5,7 @@ The estimator is that of Mitsuba's ``path`` (tests compare the two), extended by
 
 * lights hidden from the camera, and opacity in shadow rays (:mod:`.emitters`);
 * low-discrepancy samples in every pair of dimensions of a pixel (:mod:`.sobol`);
-* learned light sampling (:mod:`.light_sampler`) and sampling of the sky by openings (:mod:`.sky_guide`);
+* learned light sampling (:mod:`.light_sampler`) and sampling of the sky through windows (:mod:`.sky_guide`);
 * optionally, diffuse light from an irradiance cache after the first bounce (:mod:`.irradiance_cache`).
 
 There is no film; the samples of a pixel are adjacent in one array and are summed in order, so results have
