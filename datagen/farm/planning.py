@@ -95,7 +95,7 @@ def create_plan(
 def _assembled(
     recipe: Recipe, library_paths: tuple[Path, ...], folder: DatasetFolder, indices: list[int], workers: int
 ) -> Iterator[None]:
-    """Assemble configurations, one by one in this process or several at once in others; yield after each."""
+    """Assemble configurations, in this process or in parallel in worker processes; yield after each."""
     num_workers = min(workers, len(indices))
     if num_workers <= 1:
         for index in indices:

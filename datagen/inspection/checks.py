@@ -87,7 +87,7 @@ def check_normals(view: View, where: str) -> list[Fault]:
 
 
 def firefly_mask(view: View) -> NDArray[np.bool_]:
-    """Mask (H, W) of isolated pixels over 20 times as bright as the medians of 5x5 window and frame.
+    """Mask (H, W) of isolated pixels 20 times as bright as the medians of their 5x5 window and of the frame.
 
     A firefly has at most 4 pixels, none within 2 pixels of lamps, openings or background.
     """
