@@ -170,7 +170,7 @@ class LightSampler:
 
 
 def uniform_sampler(scene: Any, guide: SkyGuide | None) -> LightSampler | None:
-    """Return a sampler with equal probabilities in all cells, in multiples of 1 / slots.
+    """Return a sampler whose probabilities, multiples of 1 / slots, are the same in all cells.
 
     Openings have the probabilities ``guide.shares``, and emitters equal parts of the rest. Returns None for
     fewer than two techniques or more than :data:`MAX_TECHNIQUES`.
