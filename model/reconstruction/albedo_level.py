@@ -8,9 +8,9 @@ point x determine its irradiance E(x) and reflectance (inverse global illuminati
     rho(x) = pi L(x) / E(x),   about D + S on a rough surface,
 
 independent of the exposure. Where unphotographed light arrives (lamps behind the camera, sun through a
-window), rho is too large; D is therefore corrected per smooth region of the mesh, by the mode of ln(rho / (D
-+ S)) over the region's points, shrunk to the room's mode for regions with few points. Variation of D within a
-region remains as predicted. Measurements: docs/measurements.md.
+window), rho is too large. D is therefore scaled per smooth region of the mesh by the exponential of the mode,
+rather than the mean, of ln(rho / (D + S)) over its points; with few points, the mode is shrunk to the room's.
+Variation of D within a region remains as predicted. Measurements: docs/measurements.md.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ FULL_COVERAGE, NO_COVERAGE = 0.8, 0.4
 """Range of the cosine-weighted photographed share of a point's hemisphere over which its weight decreases
 from 1 to 0."""
 FULL_WEIGHT_DOUBT, NO_WEIGHT_DOUBT = 0.15, 0.6
-"""Range of the uncertain share of a point's light over which its weight decreases from 1 to 0."""
+"""Range of the uncertain share of a point's irradiance over which its weight decreases from 1 to 0."""
 MIN_POINTS, MIN_USED = 200, 0.3
 """Minimum number of points, and minimum of their mean weight, for a correction."""
 IMPOSSIBLE, MAX_SPREAD = (0.12, 0.18), 0.6
 """Range of ``impossible_share`` (:class:`LevelReport`) over which increases of D fade to none, and maximum
-``spread`` for any. Unphotographed light and metal taken for a dark dielectric only add to reflectance, so
+``spread`` for any increase. Unphotographed light and metal mistaken for a dark dielectric only raise rho, so
 decreases of D are always applied."""
 _MIN_REFLECTED = 0.02  # minimum D + S for a meaningful ratio
 _MIN_RADIANCE = 1e-6  # relative to the median
-_POINT_SCALE, _REGION_SCALE, _FREEDOM = 0.2, 0.3, 2.0  # Student's t distributions of ln rho
+_POINT_SCALE, _REGION_SCALE, _FREEDOM = 0.2, 0.3, 2.0  # scales and degrees of freedom of Student's t
 _ROUNDS = 40
 
 
@@ -133,7 +133,7 @@ def find_level(
     no_surfels = replace(surfels, radiance=np.zeros_like(surfels.radiance))
     no_background = replace(background, radiance=np.zeros_like(background.radiance))
     by_lamps = irradiance_from(no_surfels, no_background).diffuse
-    # directions of unknown radiance get the mean of known ones without lamps, since all lamps are known
+    # Unknown directions get the mean radiance of known ones, excluding lamps, whose radiance is all known.
     shading = by_lamps + (lit.diffuse - by_lamps) / np.maximum(lit.known, 1e-3)[:, None]
     reflected = surfel_means(surfels, [m["diffuse_albedo"] + m["specular_albedo"] for m in maps])[chosen]
     points = Points(
@@ -157,8 +157,8 @@ def fit_level(
     clipped_share: float,
     certainty: Floats | float = 1.0,
 ) -> AlbedoLevel:
-    """Fit gains to points, weighted by the cosine-weighted photographed share ``coverage`` (N,) of their
-    hemispheres and by the ``certainty`` (N,) of their light, in [0, 1].
+    """Fit gains to N points, weighted by the cosine-weighted photographed share ``coverage`` (N,) of their
+    hemispheres and by the ``certainty`` (N,) of their irradiance, in [0, 1].
     """
     arriving = points.irradiance
     weight = np.clip((coverage - NO_COVERAGE) / (FULL_COVERAGE - NO_COVERAGE), 0, 1) * certainty
@@ -209,7 +209,7 @@ def _unchanged(num_regions: int, reason: str, **found: Any) -> AlbedoLevel:
 
 @dataclass(frozen=True)
 class Points:
-    """N points on surfaces: radiance, irradiance and predicted D + S (N, 3), and smooth region (N,)."""
+    """N points on surfaces: radiance, irradiance and predicted D + S, (N, 3) each, and smooth region (N,)."""
 
     radiance: Floats
     irradiance: Floats
@@ -256,7 +256,7 @@ def interquartile_range(values: Floats, weight: Floats) -> float:
 
 
 def leveled(traced: TracedCapture, estimate: Estimate, run: Run) -> Estimate:
-    """Correct the albedo scale of the maps unless evidence is weak; files keep the predictions."""
+    """Correct the albedo scale of the maps unless evidence is weak; maps on disk remain as predicted."""
     with run.stage("level"):
         views, geometry = traced.views, traced.geometry
         is_lamp, region_of_face = traced.capture.geometry.emitter_mask(), smooth_regions(geometry.mesh)

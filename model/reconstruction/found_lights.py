@@ -3,8 +3,8 @@
 
 A *lamp* is an emissive surface: triangles, or *panels*, rectangles just in front of a partly emissive
 surface. *Windows* are openings through which rays leave the mesh; light from outside is represented by their
-rectangles if it is near, by an image of the *sky* if it is far, and by the *sun* where it casts patches of
-light. *Holes* are openings no brighter than the surface that the mesh lacks; they do not emit in exports.
+rectangles if it is near, by an image of the *sky* if it is far, and by the *sun* if there are sunlit patches.
+*Holes* are openings no brighter than white paint, hence gaps of the mesh; they do not emit in exports.
 Radiance is in the photographs' unit; power is in that unit times m^2 sr, hence W for radiance in W/(m^2 sr).
 """
 
@@ -62,7 +62,7 @@ class FoundLamp:
 
     @property
     def is_lit(self) -> bool:
-        """Whether the recovered radiance is above 0 in a channel."""
+        """True if the recovered radiance is above 0 in any channel."""
         return max(self.radiance) > 0
 
 
@@ -77,7 +77,7 @@ class FoundPatch:
     radiance: Color
 
     def times(self, gain: Color | None) -> FoundPatch:
-        """The patch with its radiance multiplied by ``gain`` (R, G, B), or unchanged if that is None."""
+        """The patch with its radiance multiplied by ``gain`` (R, G, B), or unchanged if ``gain`` is None."""
         rectangles = tuple(replace(r, radiance=_product(r.radiance, gain)) for r in self.rectangles)
         return replace(self, rectangles=rectangles, radiance=_product(self.radiance, gain))
 
@@ -123,7 +123,7 @@ class FoundLights:
 
     @property
     def is_dark(self) -> bool:
-        """Whether none of the lights emits."""
+        """True if none of the lights emits."""
         return not (self.windows or self.panels or self.sun or any(lamp.is_lit for lamp in self.lamps))
 
     def with_gains(self, gains: Mapping[str, Color]) -> FoundLights:
@@ -170,7 +170,7 @@ class FoundLights:
         return rows
 
     def described_holes(self) -> list[dict[str, Any]]:
-        """The mesh's holes as rows like those of :meth:`described`, of kind hole."""
+        """The mesh's holes as rows of the form of :meth:`described`, with the kind ``hole``."""
         return [_row("hole", h.slot, h.place_m, h.area_m2, h.radiance) for h in self.holes]
 
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The pipeline from a capture to an asset: mended → traced → checked → completed → predicted → leveled →
-lit → merged → filled → balanced → exported.
+"""The pipeline from a capture to an asset: mend the mesh; trace, check and complete the views (equalise
+exposures, estimate clipped pixels); predict maps, correct them by the recorded light and merge them in an
+atlas; fill in unobserved texels; balance the lights to the photographs; export.
 
-OUT/state.json      identity of the work: a hash of checkpoint, views, geometry and options
+OUT/state.json      hash of checkpoint, views, geometry and options; a run resumes only if it is equal
 OUT/views/          predicted maps, one EXR per view, which a resumed run reads
 OUT/atlas/          the merged maps as PNG and EXR, and mask.png (255 observed, 128 filled in, 0 no surface)
 OUT/asset/          the asset package; also exported as OUT/NAME.glb, OUT/mitsuba/scene.xml and OUT/NAME.usdz
@@ -99,7 +100,7 @@ def infer(
     try:
         if run.options.has_usd:
             require_usd()
-        source.prepare(run.options)  # raises before the capture is read, and before OUT is assigned
+        source.prepare(run.options)  # raises before the capture is read and ``out`` is claimed
         select_variant()
         report.notes += capture.notes
         if run.options.mends_mesh:
@@ -153,7 +154,7 @@ def _claim(traced: TracedCapture, source: MapSource, run: Run) -> None:
         raise input_error(run.out, "state.json", "other work", expected, "choose another --out or remove it")
     (run.out / "views").mkdir(parents=True, exist_ok=True)
     write_bytes_atomically(path, state)
-    (run.out / "report.json").unlink(missing_ok=True)  # that of earlier options
+    (run.out / "report.json").unlink(missing_ok=True)  # it may be of earlier options
 
 
 def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:
@@ -176,8 +177,8 @@ def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:
 
 
 def _check(traced: TracedCapture, run: Run) -> None:
-    """Report faults of the capture. Raises :class:`InputError` if the mesh fits the photographs in another
-    coordinate frame, such as one with another up axis.
+    """Report faults of the capture. Raises :class:`InputError` if the mesh fits the photographs better in
+    another coordinate frame, such as one with another up axis.
     """
     if not run.options.is_checked:
         for view in traced.views:
@@ -294,5 +295,5 @@ def _export(reconstruction: Reconstruction, found: Found, run: Run) -> None:
         if run.options.has_usd:
             write_usdz(usdz, reconstruction)
         else:
-            usdz.unlink(missing_ok=True)  # of earlier maps
+            usdz.unlink(missing_ok=True)  # it would show earlier maps
     run.report.gltf_error = asdict(error)

@@ -111,9 +111,9 @@ class InferReport:
     """Report of a run.
 
     ``atlas_size`` is in texels per side; ``seen_share`` and ``seen_of_visible``: observed share of the texels
-    on the surface, and of those on visible triangles; ``exposure``: factor of the networks' input;
-    ``seconds``: time by stage; ``memory_mb``: peak resident memory up to the end of each stage. Empty unless
-    requested: ``mesh``, its noise and holes; ``radiometry``, the findings of
+    on the surface, and of those on visible triangles; ``exposure``: factor applied to the networks'
+    input; ``seconds``: time by stage; ``memory_mb``: peak resident memory up to the end of each stage. Empty
+    if their stage did not run: ``mesh``, its noise and holes; ``radiometry``, the findings of
     :mod:`~model.reconstruction.radiometry`; ``poses``, the corrections of poses; ``albedo_level``, a
     :class:`~model.reconstruction.albedo_level.LevelReport` as a dictionary; ``light``, a
     :class:`~model.reconstruction.light.options.LightReport` with the recovered lights, as a dictionary.

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Corrects small errors of camera poses by agreement with other views.
+"""Corrects small errors of camera poses by photometric alignment with other views.
 
 Points on the mesh in a view, away from depth edges and where the image varies, are projected into the views
-with the largest overlap. The view's pose is fitted to the median of the values there by Gauss-Newton steps
-with Cauchy weights and a normal prior (:data:`SPREAD_M`, :data:`SPREAD_DEG`). All poses are updated at once,
-in several rounds. The common translation of all cameras is undetermined, so their mean position is kept.
+with the largest overlap. The view's pose is fitted to the median of their log luminance by Gauss-Newton
+steps with Cauchy weights and a normal prior (:data:`SPREAD_M`, :data:`SPREAD_DEG`). All poses are updated at
+once, in several rounds. The common translation of the cameras is undetermined: their mean position is kept.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from model.reconstruction.stages import Run
 
 ROUNDS = 6
 MAX_POINTS, MAX_OTHERS, MIN_OTHERS, MIN_POINTS = 4000, 8, 2, 100
-"""Maximum number of points per view, maximum and minimum number of other views in which they are looked up,
+"""Maximum number of points per view, maximum and minimum number of other views with which they are compared,
 and minimum number of points for the correction of a view."""
 SPREAD_M, SPREAD_DEG = 0.01, 0.3
 """Prior standard deviations of a pose per axis: translation in metres and rotation in degrees."""
@@ -55,14 +55,14 @@ class MendedPoses:
 
     @property
     def is_moved(self) -> bool:
-        """Whether any pose was corrected."""
+        """True if any pose was corrected."""
         return bool(self.moved_mm.any())
 
 
 @dataclass(frozen=True)
 class _ViewImage:
-    """Ln luminance (H, W) of a view, its derivatives by x and y per pixel, depth in metres (H, W), and points
-    (N, 3) on its surfaces.
+    """Log luminance (H, W) of a view, its derivatives by x and y per pixel, depth in metres (H, W), and
+    points (N, 3) on its surfaces.
     """
 
     image: NDArray[np.float32]
@@ -158,7 +158,7 @@ def _is_inside(lens: Camera, local: NDArray, x: NDArray, y: NDArray) -> NDArray[
 def _expected(
     view_images: Sequence[_ViewImage], lenses: Sequence[Camera], poses: Sequence[NDArray], index: int
 ) -> NDArray[np.float64]:
-    """Compute the median ln luminance (N,) of a view's points in the other views; NaN where fewer than
+    """Compute the median log luminance (N,) of a view's points in the other views; NaN where fewer than
     ``MIN_OTHERS`` views show a point.
     """
     points, found = view_images[index].points, []
@@ -218,7 +218,7 @@ def _step(
 
 
 def mended(traced: TracedCapture, run: Run) -> TracedCapture:
-    """Correct the capture's poses and trace it again; it is unchanged if agreement would not improve."""
+    """Correct the capture's poses and trace it again, unless the views would not agree clearly better."""
     with run.stage("poses"):
         found = mended_poses(traced.views)
         before, after = found.residual

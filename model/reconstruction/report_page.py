@@ -107,7 +107,7 @@ def _costs(report: InferReport) -> str:
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """An HTML table; ``rows`` are HTML, ``heads`` plain text."""
+    """Format an HTML table; ``rows`` are HTML, ``heads`` plain text."""
     head = "".join(f"<th>{html.escape(text)}</th>" for text in heads)
     body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
     return f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Interfaces of the stages of ``materials infer``: the run, sources of maps, stages before the merge."""
+"""Interfaces of the stages of ``materials infer``: the run, sources of maps, and stages before the merge."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ class ViewPicture:
 
 
 DoubtAt = Callable[[NDArray, NDArray], NDArray[np.float32]]
-"""Function from points and normals (both (N, 3)) to the luminance (N,) of the diffuse shading that is
-uncertain because photographs clip its source."""
+"""Function from points and normals (both (N, 3)) to the luminance (N,) of the diffuse shading, irradiance /
+pi, that is uncertain because photographs clip its source."""
 
 
 @dataclass(frozen=True)
 class Found:
     """Results of the stages in addition to maps, None or empty if no stage provides them.
 
-    ``samples``: photographed radiance, to which ``lights`` are balanced; ``confidence_at``: function from
-    surface points and normals (both (..., 3)) to the confidence (..., 3) of D, S and R, 255 for 1.
+    ``samples``: photographed radiance to which the gains of ``lights`` are fitted; ``confidence_at``:
+    function from surface points and normals (..., 3) to the confidence (..., 3) of D, S and R, 255 for 1.
     """
 
     lights: FoundLights | None = None
@@ -94,7 +94,7 @@ class MapSource(Protocol):
 
     @property
     def is_predicted(self) -> bool:
-        """Whether the maps are predictions, which stages before the merge may correct."""
+        """True if the maps are predictions, which stages before the merge may correct."""
 
     def prepare(self, options: InferOptions) -> None:
         """Check the source before work starts. Raises :class:`InputError` if it is unusable."""
