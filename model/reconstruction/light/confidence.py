@@ -38,13 +38,13 @@ over which the confidence of D, S and R decreases from 1 to 0."""
 INFERRED_LIGHT = (0.4, 1.0)
 """Like :data:`HIDDEN_LIGHT`, for unphotographed lamps that the geometry declares."""
 METAL_TRUST = 0.85
-"""Lower bound of the factor of the confidence of metals due to unphotographed light: photographs record the
-light that metals reflect, but more dielectrics are mistaken for metal."""
+"""Lower bound of the factor by which unphotographed light reduces the confidence of metals. Photographs
+record the light that metals reflect, but such light makes more dielectrics look like metal."""
 BUMPY, BUMPY_ROOM, BUMPY_TRUST = (0.05, 0.3), (0.01, 0.05), 0.5
 """Ranges of the spread of normals around a surfel and of its median over the room, in radians, over which the
 confidence of R decreases to the factor :data:`BUMPY_TRUST`. A mesh with errors is bumpy everywhere and
 reflects in wrong directions; an exact mesh is curved only at some objects."""
-_BUMPY_NEIGHBOURS, _SAME_SURFACE = 12, 0.7  # the latter: minimum cosine between normals of one surface
+_BUMPY_NEIGHBOURS, _SAME_SURFACE = 12, 0.7  # number, and minimum cosine between their normals
 _NEAR_BLOCKS = 8
 D_EVIDENCE, S_EVIDENCE = (0.65, 1.0), (0.0, 0.2)
 """Ranges of the photographed share of a surfel's hemisphere over which the confidence of D, and that of S and
@@ -56,10 +56,10 @@ _NEAREST_FIRST = np.ascontiguousarray(_STEPS[np.argsort((_STEPS**2).sum(axis=1),
 def surfel_confidence(photographed: NDArray, is_mirror: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Compute the confidence (N, 3) of D, S and R from the ``photographed`` share (N,) of each hemisphere.
 
-    The relative error of D equals that of the irradiance, so D needs a larger share than S and R, whose prior
-    already has more weight where evidence is weak: below a share of 0.3, R from light has 0.03 to
-    0.9 times the network's squared error in the development rooms. Mirrors (``is_mirror`` (N,)) need no
-    photographed hemisphere, since their images determine them.
+    The relative error of D equals that of the irradiance, so D needs a larger share than S and R, whose
+    priors already weigh more where evidence is weak: even below a share of 0.3, the squared error of R from
+    light is 0.03 to 0.9 times the network's in the development rooms. Mirrors (``is_mirror`` (N,)) need no
+    photographed hemisphere, since the images that they reflect determine them.
     """
     photographed = np.where(is_mirror, 1.0, photographed)
     of_d = _ramp(photographed, D_EVIDENCE)
@@ -101,8 +101,8 @@ def impossible_shares(
 
     Such surfels have a radiance above :data:`MAX_REFLECTED` times their shading ``diffuse`` (N, 3). Surfels
     are weighted by their number of views; metals and mixed surfels are ignored. Local shares are computed in
-    blocks of :data:`BLOCK_CELLS` cells of each smooth ``region`` (N,) and interpolated between blocks. Shares
-    of blocks with few views are shrunk to that of the region, and those of regions to that of the room.
+    blocks of :data:`BLOCK_CELLS` cells of each smooth ``region`` (N,) and interpolated between blocks. With
+    few views, the share of a block is shrunk to that of its region, and a region's to that of the room.
     """
     excess = (surfels.radiance - MAX_REFLECTED * diffuse) @ LUMINANCE_WEIGHTS > 0
     weight = (np.diff(surfels.observations.start) * ~(is_metal | surfels.is_mixed)).astype(np.float64)
@@ -163,7 +163,8 @@ def light_certainty(doubt: NDArray, diffuse: NDArray, region: NDArray) -> NDArra
     """Compute the trust (N,) in the light of surfels from the uncertain luminance ``doubt`` (N,) of their
     diffuse shading ``diffuse`` (N, 3).
 
-    It is at most the trust in their smooth ``region`` (N,) as a whole, since few rays hit a small source.
+    It is at most the trust in their smooth ``region`` (N,) as a whole: few rays from a surfel hit a small
+    source, so its own share of uncertain light is noisy.
     """
     shading = np.maximum(diffuse @ LUMINANCE_WEIGHTS, 1e-12)
     part = np.bincount(region, doubt) / np.maximum(np.bincount(region, shading), 1e-12)
@@ -201,7 +202,7 @@ class SurfelConfidence:
     def at(self, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
         """Look up the confidence (..., 3), 0 to 255, at surface ``points`` with ``normals``, (..., 3) each.
 
-        It is that of the surfel in the point's cell, else in the nearest adjacent cell with one, else 0.
+        Without a surfel in the point's cell, it is that of the nearest adjacent cell with a surfel, else 0.
         """
         flat = points.reshape(-1, 3).astype(np.float64)
         side = np.ascontiguousarray(normals.reshape(-1, 3), np.float32)

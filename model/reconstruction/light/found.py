@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Collects the recovered light sources of a room for export, with distant light from outside as an image of
+"""Collects the recovered light sources of a room for export; distant light from outside becomes an image of
 the sky (docs/light.md).
 """
 
@@ -33,8 +33,8 @@ HEIGHT, WIDTH = 64, 128
 def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) -> FoundLights:
     """Collect the recovered lamps, panels, windows, sky and sun of a room, and the holes of its mesh.
 
-    The sky is returned only if there are windows and the light from outside depends on direction only or
-    comes with sunlight, which rectangles in windows would block.
+    The sky is returned only if there are windows, and the light from outside depends only on direction or
+    includes a sun, whose light the windows' rectangles would block.
     """
     field = lit.baker.field
     lamps = found_lamps(field.emitters, traced.mesh, geometry.parts)
@@ -72,7 +72,7 @@ def radiance_samples(views: Sequence[TracedView], num: int = NUM_SAMPLES) -> Rad
 def sky_image(background: Background) -> NDArray[np.float32]:
     """Convert the radiance of a ``background`` to an image of a distant sky (HEIGHT, WIDTH, 3).
 
-    A pixel is the mean of its known bins; a pixel without known bins equals the nearest one with some.
+    A pixel is the mean of its known bins; a pixel without known bins equals the nearest pixel with some.
     """
     of_direction = directions_of(background.layout.bin_directions(), HEIGHT)
     pixel = np.resize(of_direction, background.layout.num_bins)[background.is_known]

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Finds lamps for export: emissive surfaces, and panels, lamps that the geometry does not declare.
+"""Finds lamps for export: emissive surfaces, and *panels*, lamps that the geometry does not declare.
 
-Each emissive part of the geometry is a lamp, and each other smooth region that was found to emit.
+Each emissive part of the geometry is a lamp, and so is every other smooth region that was found to emit.
 
 Surfels of panels have several times the maximum radiance that they could reflect, in nearly all views (a
 mirror reflects a lamp in some views only), and several times that of the surrounding surface (the light of a
-hidden lamp decreases gradually). Neighbouring cells of one side are clustered and exported as rectangles
-perpendicular to the side's axis, just in front of the surface, since triangles of a ceiling extend beyond its
-lamp.
+hidden lamp decreases gradually). Adjacent surfels with normals nearest to one axis are clustered and
+exported as rectangles perpendicular to it, just in front of the surface, since the triangles of a ceiling
+extend beyond its lamp.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ EXCESS = 2.5
 FAINTEST, MIN_VIEWS = 0.2, 3
 """Share of the views in which a lamp may be fainter, and minimum number of views that show it."""
 MIN_PHOTOGRAPHED = 0.5
-"""Minimum photographed share of a surfel's hemisphere, since hidden lamps make irradiance too low."""
+"""Minimum photographed share of a surfel's hemisphere, since irradiance lacks the light of hidden lamps."""
 MIN_CELLS, MIN_SHARE = 4, 0.003
 """Minimum number of cells of a lamp, and its minimum share of the radiant power of all surfels."""
 MAX_BLOCK = 16
 """Maximum side of a rectangle in cells."""
 MIN_EDGE, RING_CELLS = EXCESS, (1.5, 3.5)
-"""Minimum radiance of a lamp relative to the surrounding ring of surfels, which reflects at most the light
-that arrives, and radii of the ring in cells. In smooth light of a hidden lamp, the ratio is up to 2.4."""
+"""Minimum radiance of a lamp relative to the surfels in a ring around it, and radii of the ring in cells. In
+the smooth light of a hidden lamp, the ratio is up to 2.4."""
 _GAP = 0.25  # cells between the surface and its rectangle
 
 
@@ -122,8 +122,8 @@ def _within(tree: cKDTree, points: NDArray[np.int64], reach: float) -> NDArray[n
 
 
 def _faintest(lit: Lit, surfels: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Compute the quantile :data:`FAINTEST` (K,) of the luminance of ``surfels`` (K,) over their views; 0 for
-    those with fewer than :data:`MIN_VIEWS` views.
+    """Compute the quantile :data:`FAINTEST` (K,) of the luminance of ``surfels`` (K,) over their views; 0
+    with fewer than :data:`MIN_VIEWS` views.
     """
     observations = lit.surfels.observations
     found = np.zeros(len(surfels))

@@ -2,7 +2,7 @@
 """Finds openings: rectangles through which rays from a room's surfaces leave its mesh, and their radiance.
 
 Rays that leave the background's bounding box through one connected part of a face belong to one opening. Its
-plane is the one parallel to the face in which they cover the smallest area. Rays from surfels are
+plane is parallel to the face, at the depth where these rays cover the smallest area. Rays from surfels are
 cosine-distributed, so the mean radiance of the rays through a rectangle preserves the irradiance. All rays
 through an opening are averaged, regardless of the face of the box through which they leave.
 

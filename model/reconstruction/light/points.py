@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Divides surfels into segments that share specular albedo and roughness, chooses surfels of each, computes
-the specular shading of their observations, and solves the segments for S and R.
+"""Divides surfels into segments that share specular albedo and roughness, chooses surfels of each segment,
+computes the specular shading of their observations, and solves the segments for S and R.
 
 A segment is a part of a smooth region of the mesh with similar reflectance and predictions. These features
 are binned, and a bin with few surfels is merged with the nearest bin of its region.
 
 The solved segments give the mean outgoing radiance of surfels, by which they illuminate each other. Cameras
-at eye height see floors and table tops at grazing angles, where they reflect windows and lamps; ceilings and
-walls see them at other angles. For dielectrics, the photographed radiance is therefore replaced by its
-diffuse part plus the mean of the specular part over the hemisphere.
+at eye height record floors and table tops at grazing angles, at which they reflect windows and lamps; their
+light reaches ceilings and walls at other angles. For dielectrics, the photographed radiance is therefore
+replaced by its diffuse part plus the mean of the specular part over the hemisphere.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ SPECULAR_RAYS = 3
 MIN_DIFFUSE = 0.1
 """Minimum diffuse part, relative to the photographed radiance."""
 ROUGH = (0.5, 0.8)
-"""Range of R over which increases of the photographed radiance are reduced to 0, since rough dielectrics can
+"""Range of R over which increases over the photographed radiance fade to 0, since rough dielectrics can
 hardly be distinguished from matte surfaces, whose S is 0."""
 _SEED = 41
 
@@ -141,11 +141,11 @@ class Points:
 
 
 def choose_points(surfels: Surfels, segment: NDArray, known: NDArray, options: LightOptions) -> Points:
-    """Choose at most ``max_points`` surfels, evenly distributed over the segments ``segment`` (N,), but from
-    each segment at least :data:`_QUOTA_STEP`, or all.
+    """Choose up to ``max_points`` surfels, equally many of each segment (index ``segment`` (N,)) or all of a
+    small one, but at least :data:`_QUOTA_STEP` of each even beyond ``max_points``.
 
-    ``known`` (N,) is the known share of their light. Each surfel has at most ``num_observations``, chosen at
-    equal steps of rank from the darkest to the brightest.
+    ``known`` (N,) is the known share of the surfels' light. Each surfel has at most ``num_observations``,
+    chosen at equal steps of rank from the darkest to the brightest.
     """
     num_segments = int(segment.max()) + 1
     size = np.bincount(segment, minlength=num_segments)
@@ -168,7 +168,7 @@ def choose_points(surfels: Surfels, segment: NDArray, known: NDArray, options: L
 
 
 def _observation_weights(surfels: Surfels) -> NDArray[np.float32]:
-    """Compute each observation's weight (M,): that of its pixels, at most 4, times the cosine to the view."""
+    """Compute each observation's weight (M,): that of its pixels, at most 4, times the viewing cosine."""
     observations = surfels.observations
     surfel = surfels.surfel_of_observation()
     direction = surfels.directions(surfel, observations.view)
@@ -273,7 +273,7 @@ def solve_points(
 
 
 def _medians(values: NDArray, start: NDArray) -> NDArray[np.float64]:
-    """Upper medians (G,) of the groups of ``values`` (N,) that begin at ``start`` (G + 1,), none empty."""
+    """Compute the upper median (G,) of each group ``start[g]`` to ``start[g + 1]`` - 1 of ``values`` (N,)."""
     group = np.repeat(np.arange(len(start) - 1), np.diff(start))
     ordered = values[np.lexsort((values, group))]
     return np.asarray(ordered[start[:-1] + np.diff(start) // 2], np.float64)

@@ -27,15 +27,15 @@ from datagen.light.surfels import CellGrid, Surfels, grouped_medians, near_surfe
 SMOOTHNESS = 100.0
 """Weight of differences of u between adjacent surfels, relative to that of u of a surfel with known light."""
 ESTIMATE_WEIGHT, ESTIMATE_EVIDENCE = 0.5, (0.1, 0.65)
-"""Weight of u of surfels whose light is mostly estimated, and the range of the photographed share of their
-hemisphere over which it increases from 0."""
+"""Maximum of the weight e of estimated light, and range of the photographed share of a surfel's hemisphere
+over which e increases from 0 to it."""
 NETWORK_WEIGHT, REGION_WEIGHT = 0.02, 0.3
 """Weights of the priors at a spread of 1; small, since the errors of neighbouring surfels are correlated."""
 MIN_SPREAD_NETWORK, MIN_SPREAD_REGION = 0.25, 0.1
 """Standard deviations of ln D that are added in quadrature to the spreads."""
 SCALE_SUPPORT = 0.05
-"""Mean confidence in the light at which half of the confident surfels' ln offset is applied to the network's
-albedo."""
+"""Mean confidence in the light at which the network's albedo is scaled by the square root of the ratio found
+at confident surfels."""
 MIN_SUPPORT = 10.0
 """Number of confident surfels from which a region's prior has weight; full weight requires ten times as
 many."""

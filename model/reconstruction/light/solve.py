@@ -2,8 +2,8 @@
 """Solves specular albedo and roughness of segments from the variation of radiance over views (docs/light.md).
 
 For each roughness of :data:`ROUGHNESS_LEVELS` and specular albedo of :data:`SPECULAR_LEVELS`, the diffuse
-albedo of a point follows from its radiance L, diffuse shading Ld and specular radiance S Ls0 + Ls1 in each
-observation,
+albedo of a point follows from its radiance L, diffuse shading Ld and specular radiance S Ls0 + Ls1
+(:mod:`datagen.light.bake`) in each observation, that is, in each view of the point,
 
     D = mean of (L - S Ls0 - Ls1) / ((1 - S) Ld), clipped to [0, MAX_FITTED_ALBEDO],
 
@@ -28,14 +28,14 @@ SPECULAR_LEVELS = np.array([0.0, 0.02, 0.04, 0.06, 0.08], np.float32)
 """Specular albedos of dielectrics, from water (0.02) to sapphire (0.08)."""
 MAX_ALBEDO = 0.95
 MAX_FITTED_ALBEDO = 1.1
-"""Maximum D of a hypothesis; the excess allows for errors of the shading of white paint, which a specular
-part would otherwise explain."""
+"""Maximum D of a hypothesis. It exceeds 1 so that errors of the shading of white paint are not attributed to
+a specular part."""
 MAX_RESIDUAL = 0.2
-"""Upper bound on the residual of an observation, which may be due to wrong visibility or light."""
+"""Upper bound on the residual of an observation, since outliers result from wrong visibility or light."""
 MIN_METAL = 0.2
-"""Minimum specular albedo of metal, averaged over channels."""
+"""Minimum specular albedo, averaged over channels, of a segment or region that is evidently metal."""
 MIN_DARK_METAL = 0.1
-"""Minimum specular albedo, averaged over channels, of any metal, such as the dark tiles of a metal floor."""
+"""Like :data:`MIN_METAL`, for other segments of a region of metal, such as dark tiles of a metal floor."""
 
 MIN_EVIDENCE = 0.05
 DIELECTRIC_RESIDUAL, METAL_RESIDUAL = (0.03, 0.06), (0.06, 0.12)
@@ -43,9 +43,9 @@ DIELECTRIC_RESIDUAL, METAL_RESIDUAL = (0.03, 0.06), (0.06, 0.12)
 the observations. Unexplained dielectrics are mostly metals in inexact light or geometry; correct metals fit
 worse than correct dielectrics, since they reflect the errors of light and geometry."""
 NETWORK_VARIANCE = 0.1
-"""Variance of the network's R; times the root of the number of views, it is compared with the variance of R
-over hypotheses, which omits the errors of light and geometry that all hypotheses share and of which the views
-of a surfel are no independent samples."""
+"""Variance of the network's R. Times the square root of the number of views, it is compared with the variance
+of R over hypotheses, which omits errors of light and geometry: all hypotheses share them, and they are
+correlated among the views of a surfel."""
 REGION_SHARE = 0.7
 """Weight of the mean R of a smooth region's dielectric segments in a segment of full confidence. Segments
 differ in colour, but rarely in R."""
@@ -54,33 +54,33 @@ GLOSSY_TEMPERATURE = 0.04
 """Difference of costs, relative to the residual, that reduces the likelihood of S and R by a factor e in a
 segment of :data:`REFERENCE_OBSERVATIONS`."""
 MATTE_TEMPERATURE, MATTE_ALLOWANCE = (0.06, 0.018), 0.01
-"""Like :data:`GLOSSY_TEMPERATURE`, in an inexact and an exact capture, for matte (S = 0, R = 1) against the
-best glossy hypothesis; and the excess cost, relative to the residual, at which matte is as likely as glossy,
-since glossy hypotheses fit noise slightly better."""
+"""Like :data:`GLOSSY_TEMPERATURE`, in an inexact and an exact capture (:data:`EXACT_RESIDUAL`), between matte
+(S = 0, R = 1) and the best glossy hypothesis; and the excess cost, relative to the residual, at which matte
+is as likely as glossy, since glossy hypotheses fit noise slightly better."""
 MATTE_ALBEDO, MATTE_DIELECTRIC = (0.02, 0.06), 0.75
-"""Bounds on the network's S of matte segments in an inexact capture, where S = 0 cannot be distinguished from
-that of a rough dielectric; and the probability of the dielectric."""
+"""Bounds on the network's S of matte segments in an inexact capture, where S = 0 and a rough dielectric look
+alike; and the probability of the dielectric."""
 REFERENCE_OBSERVATIONS, COOLING, MAX_TEMPERATURE_FACTOR = 3000.0, 0.75, 10.0
 """In an exact capture, temperatures are multiplied by (observations of the segment / the first value) to the
-power of minus the second, at most by the third. Errors of independent observations would give the power 1."""
+power of minus the second, at most by the third. With independent errors, the second would be 1."""
 EXACT_RESIDUAL = (0.008, 0.012)
-"""Range of the median observation's residual from an exact to an inexact capture. Errors of cameras, mesh and
-photographs are common to many observations, and blur reflections, so they resemble matte surfaces."""
+"""Range of the median residual of observations from an exact to an inexact capture. Errors of cameras, mesh
+and photographs are common to many observations and blur reflections, which then resemble matte surfaces."""
 METAL_SHARE = 0.25
 """Share of metal among a smooth region's surfels from which its other segments may become metal."""
 MIN_LOG_RATIO, MAX_LOG_RATIO = 0.35, 2.0
-"""Minimum over a metal region of the mean of ln (residual as dielectric / residual as metal) times the root
-of the mean evidence, and the bound on each segment's, so that few segments do not dominate."""
+"""Minimum, for a region of metal, of the mean of ln (residual as dielectric / residual as metal) times the
+square root of the mean evidence; and bound on each segment's logarithm, so that few do not dominate."""
 MAX_BRIGHTNESS = 1.1
 """Maximum typical radiance, relative to white in the same light, of a segment that is evidence of metal in an
 inexact capture. Metal that reflects a lamp may be brighter."""
 MIRROR_ROUGHNESS, MIRROR_RESIDUAL, MIRROR_FIT = 0.25, 0.06, 0.8
-"""Maximum roughness of a mirror, minimum residual of the best dielectric, and maximum ratio of the residual
-as metal to it. Moving mirror images have no other explanation, so mirrors need no photographed hemisphere."""
+"""Maximum roughness of a mirror, minimum residual as dielectric, and maximum ratio of the residual as metal
+to it. Reflections that move with the view have no other cause, so mirrors need no photographed hemisphere."""
 MIRROR_VIEWS, MIRROR_SURFELS = 1.2, 48
 """Minimum mean number of views of a mirror's surfels, and minimum number of surfels."""
 MATTE_METAL = 0.7
-"""Roughness above which metal looks so much like matte paint that the network's S is no evidence of it."""
+"""Roughness above which metal looks so much like matte paint that the network's S is no evidence of metal."""
 MIN_METAL_SURFELS = 6
 """Minimum number of surfels of a smooth region of metal. The mixed pixels of smaller pieces, such as the
 fragments of a bumpy mesh, resemble metal."""
@@ -93,8 +93,8 @@ class PriorWeights:
     """Weights of the priors, which are divided by a segment's evidence.
 
     ``specular_albedo`` and ``roughness``: weights of the squared differences of sqrt(S) and of R from the
-    network's, the latter in an inexact and an exact capture; ``metal``: minimum difference by which the cost
-    of metal must be below that of a dielectric.
+    network's, ``roughness`` in an inexact and an exact capture; ``metal``: margin by which the cost of metal
+    must be below that of a dielectric.
     """
 
     specular_albedo: float = 0.02
@@ -130,7 +130,7 @@ class SolvedSegments:
 
     @property
     def is_mirror(self) -> NDArray[np.bool_]:
-        """Mask (G,) of metals that are smooth enough to be known by their images alone."""
+        """Mask (G,) of metals so smooth that the images they reflect determine them alone."""
         return self.is_metal & (self.roughness <= MIRROR_ROUGHNESS)
 
 
@@ -165,16 +165,16 @@ def decide(
 ) -> SolvedSegments:
     """Compute the expected material of each of G segments.
 
-    ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the network's; ``evidence`` (G,) in [0, 1] divides
-    the weights of priors, as at least :data:`MIN_EVIDENCE`; ``views`` (G,): mean number of views of a surfel;
+    ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the network's; ``evidence`` (G,) in [0, 1], at least
+    :data:`MIN_EVIDENCE`, divides the weights of priors; ``views`` (G,): mean number of views of a surfel;
     ``region`` (G,): smooth region; ``size`` (G,): number of surfels; ``brightness`` (G,): typical radiance
     relative to white in the same light. A dielectric is the mean of the matte (R = 1; S = 0 or, in an inexact
-    capture, by the network's) and glossy hypotheses, weighted by likelihood.
+    capture, from the network's) and glossy hypotheses, weighted by likelihood.
 
-    Mirrors need no evidence. Other segments of a region become metal, within :data:`METAL_TOLERANCE`, if
-    :data:`METAL_SHARE` of it is metal or its residuals as metal are below those as dielectric by
-    :data:`MIN_LOG_RATIO`. Regions of fewer than :data:`MIN_METAL_SURFELS` are no metal. In inexact captures,
-    segments above :data:`MAX_BRIGHTNESS` do not count: patches of sun, which clip and whose light is
+    Mirrors need no evidence. A segment whose cost is at most :data:`METAL_TOLERANCE` higher as metal becomes
+    metal if :data:`METAL_SHARE` of its region is metal or the region as a whole fits better as metal
+    (:data:`MIN_LOG_RATIO`). Regions of fewer than :data:`MIN_METAL_SURFELS` surfels are not metal. In inexact
+    captures, segments above :data:`MAX_BRIGHTNESS` are ignored: sunlit patches, which clip and whose light is
     underestimated, resemble metal.
     """
     inverse_evidence = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
@@ -246,8 +246,8 @@ def shared_roughness(
     ``weight`` (G,) times confidence; return it and its confidence (G,).
 
     The share of the mean increases from :data:`REGION_SHARE` to 1 as a segment's confidence decreases to 0,
-    and confidence is at least that of the region times this share. It is the best estimate for maps; specular
-    radiance keeps the R that explains a segment's observations.
+    and confidence is at least that of the region times this share. The result is for maps; specular radiance
+    is computed with each segment's own R, which explains its observations.
     """
     confidence = solved.confidence[:, 2]
     weight = weight * ~solved.is_metal
@@ -265,8 +265,8 @@ def _is_in_metal_region(
     """Compute the mask (G,) of segments whose region is metal as a whole, by its share of metal or by
     its mean ``ratio``, ln (residual as dielectric / residual as metal).
 
-    ``size`` (G,): number of surfels, 0 for segments that do not count; ``albedo`` (G,): mean S of the metal
-    hypotheses; the others (G,) as in :func:`decide`.
+    ``size`` (G,): number of surfels, 0 for ignored segments; ``albedo`` (G,): mean S of the metal
+    hypotheses; the other arguments (G,) are as in :func:`decide`.
     """
     share, mean_ratio, mean_evidence, mean_albedo = (
         np.bincount(region, size * values) / np.maximum(np.bincount(region, size), 1)
@@ -277,8 +277,8 @@ def _is_in_metal_region(
 
 
 def _exactness(residual: NDArray, observations: NDArray) -> float:
-    """Compute the exactness of a capture, in [0, 1], from the segments' ``residual`` and numbers of
-    ``observations``, (G,) each.
+    """Compute the exactness of a capture, from 0 to 1 over :data:`EXACT_RESIDUAL`, from the segments'
+    ``residual`` and numbers of ``observations``, (G,) each.
     """
     order = np.argsort(residual)
     count = np.cumsum(observations[order])

@@ -3,10 +3,9 @@
 
 Surfels and their radiance field are gathered (``lighting``) and divided into segments, whose S and R are
 solved (``points``, ``solve``). A second round computes the light with less noise, reflections at metals and
-the mean outgoing radiance of dielectrics, and solves again if there is metal. Then the
-specular part of every observation is computed, shading by unphotographed light is corrected
-(``shading_correction``), and maps (``view_maps``) are computed and blended with the network's by
-``confidence``. See docs/light.md.
+the mean outgoing radiance of dielectrics, and solves again if there is metal. Then the specular part of every
+observation is computed, shading by unphotographed light is corrected (``shading_correction``), and maps
+(``view_maps``) are computed and blended with the network's by ``confidence``. See docs/light.md.
 """
 
 from __future__ import annotations
@@ -204,7 +203,7 @@ def _solved_surfels(
         ones = np.ones_like(albedo)
         return SolvedSurfels(lit.diffuse, specular, s, r, is_metal, ones, ones[:, 0], ones, White()), albedo
     confidence = surfel_confidence(lit.irradiance.photographed, segments.is_mirror[segment])
-    is_lit = lit.diffuse.max(axis=1) > 0  # unknown where no light arrives
+    is_lit = lit.diffuse.max(axis=1) > 0  # elsewhere, light does not determine the albedo
     impossible = impossible_shares(surfels, lit.diffuse, is_metal, segmentation.region)
     of_segment = np.column_stack([segments.confidence[:, :2], r_confidence])[segment]
     trust = impossible.trust() * trust_in_hidden(lit.hidden, inferred) * is_lit

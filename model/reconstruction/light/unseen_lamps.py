@@ -2,8 +2,8 @@
 """Estimates the radiance of lamps that the geometry declares and no photograph shows.
 
 A lamp is a connected part of the emitting triangles. Lamps with the same number of triangles and the same
-area are of one kind and have one radiance. It is that of a photographed lamp of this kind; without one, it is
-the radiance for which the illuminated surfaces have a uniform albedo in each smooth region, close to the
+area are of one kind and share one radiance: that of a photographed lamp of the kind or, without one, the
+radiance that makes the albedo of the illuminated surfaces uniform in each smooth region and close to the
 network's (:func:`~model.reconstruction.radiometry.recovered.recovered`).
 """
 

@@ -53,7 +53,7 @@ SEGMENT_VIEWS = 2.0
 TYPICAL_WHITE = 0.85
 """Albedo of white paint where none is known; in the development rooms it is 0.78 to 1."""
 MIN_WHITE, MAX_CHROMA = 0.7, 0.12
-"""Minimum mean albedo of white paint over channels, and maximum difference between its channels."""
+"""Minimum albedo of white paint, averaged over channels, and maximum difference between its channels."""
 HALF_SUPPORT = 300.0
 """Number of confident surfels of one white at which it has the same weight as :data:`TYPICAL_WHITE`."""
 _STEP, _BANDWIDTH, _REACH = 0.005, 0.015, 0.04  # of the histogram, its smoothing, and the support of its mode
@@ -64,8 +64,8 @@ MAX_EXCESS = 1.5
 margin allows for errors of shading."""
 _DARK = 1e-12  # avoids 0 / 0 in the reflectance of a room without light
 EDGE_NEIGHBOURS, EDGE_RANGE = 25, 0.1
-"""Number of neighbouring surfels whose shares of visible sun differ by more than the second value at an
-edge."""
+"""Number of neighbours of a surfel, and minimum range of their visible shares of the sun at an edge of
+sunlight."""
 NUM_AVERAGED, MAX_DISTANCE_CELLS = 16, 20
 """Number of surrounding surfels that are averaged, and maximum distance to the nearest in cells."""
 NORMAL_SCALE_CELLS = 16
@@ -79,11 +79,11 @@ def textured_specular_albedo(
     is_metal: NDArray[np.bool_],
     shading: SpecularShading,
 ) -> NDArray[np.float32]:
-    """Compute S (N, 3) of the surfels: of rough metals mainly the median of (radiance - ls1) / ls0 over
-    observations, of all others that of the segment.
+    """Compute S (N, 3) of the surfels: for rough metals mainly the median of (radiance - ls1) / ls0 over
+    observations, for all others S of the segment.
 
     ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,) are those of the surfels' segments;
-    ``shading`` is that of all M observations, divided by the known share of its light.
+    ``shading`` is that of all M observations, extrapolated from known to all light.
     """
     observations = surfels.observations
     owner = surfels.surfel_of_observation()
@@ -282,9 +282,9 @@ def _pixels(
 def without_sunlit_edges(
     maps: Sequence[dict[str, NDArray]], lit: Lit, region: NDArray, is_clipped: NDArray[np.bool_]
 ) -> list[dict[str, NDArray]]:
-    """Return the views' ``maps`` with D, S and R at edges of sunlight from the same smooth ``region`` (N,).
+    """Replace D, S and R at edges of sunlight by those around them in the same smooth ``region`` (N,).
 
-    ``is_clipped`` (N,): whether a surfel's radiance is a lower bound; only sunlit ones are replaced.
+    ``is_clipped`` (N,): mask of surfels whose radiance is a lower bound, replaced if sunlit.
     """
     surfels = lit.surfels
     is_replaced = _at_edge(lit) | (is_clipped & (lit.sunlight.max(axis=1) > 0))
