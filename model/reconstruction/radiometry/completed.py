@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Scales photographs to one exposure and estimates their clipped pixels.
 
-The value of a clipped pixel is a lower bound. The pixel gets the median radiance of its surface in the views
-in which it is not clipped. A surface that is clipped in all views is a source, whose radiance is estimated
-from its illumination of other surfaces (``recovered``).
+The value of a clipped pixel is a lower bound. It is replaced by the median radiance of its surface over the
+views in which the surface is not clipped. A surface that is clipped in all views is a source, whose radiance
+is estimated from its illumination of other surfaces (``recovered``).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from model.reconstruction.radiometry.sources import Sources, find_sources, sourc
 from model.reconstruction.stages import DoubtAt, Run
 
 SOURCE_ROUNDS = 3
-"""Number of estimates of the sources, each with unphotographed surfaces illuminated as by the last."""
+"""Number of estimates of the sources, each of which illuminates unphotographed surfaces for the next."""
 
 
 @dataclass(frozen=True)
@@ -114,10 +114,10 @@ def _filled(
 
 
 def completed(traced: TracedCapture, run: Run) -> tuple[TracedCapture, DoubtAt | None]:
-    """Stage that scales the capture's views to one exposure and completes clipped pixels; also return the
-    uncertainty of light.
+    """Scale the capture's views to one exposure and estimate clipped pixels; also return the uncertainty of
+    the light.
 
-    It is unchanged if an image has no clipping limit, as in renderings.
+    The views are unchanged if an image has no clipping limit, as in renderings.
     """
     if any(view.limit is None for view in traced.views):
         return traced, None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Estimates exposure and white balance of each photograph, vignetting and response from common surfaces.
+"""Estimates exposure and white balance of each photograph, vignetting and response from shared surfaces.
 
 A surfel i of radiance L_i is recorded in view v, at the squared image radius r2 (1 in the corners), as
 
@@ -59,11 +59,11 @@ class Radiometry:
 
     @property
     def changes(self) -> bool:
-        """Whether the correction changes any photograph."""
+        """True if the correction changes any photograph."""
         return bool((self.gain != 1).any()) or self.vignetting != 0 or self.curve != 0
 
     def undone(self, view: TracedView, index: int) -> TracedView:
-        """Convert the colours of ``view``, of number ``index``, to radiance at the common exposure."""
+        """Convert the colours of ``view``, which is number ``index``, to radiance at the common exposure."""
         color = view.color.astype(np.float64)
         if self.curve and view.limit is not None:
             color = view.limit * invert_response(color / view.limit, self.curve)
@@ -122,7 +122,7 @@ def find_radiometry(views: Sequence[TracedView], surfels: Surfels) -> Radiometry
 
 
 def _channels(views: Sequence[TracedView], surfels: Surfels) -> tuple[list[_Channel], int]:
-    """Choose usable observations by channel, none if they are too few; also return the number of all."""
+    """Choose usable observations by channel, none if they are too few; also return their total number."""
     observations = surfels.observations
     common = float(np.quantile(surfels.radiance, 0.99))
     limit = np.array([common if view.limit is None else view.limit for view in views])
@@ -210,7 +210,7 @@ class _Channel:
     def of(
         cls, surfel: NDArray, view: NDArray, r2: NDArray, limit: NDArray, value: NDArray, counts: NDArray
     ) -> _Channel:
-        """Choose the samples ``counts`` (M,) of surfels with enough of them."""
+        """Select the samples in the mask ``counts`` (M,), without surfels that have fewer than MIN_VIEWS."""
         rows = np.flatnonzero(counts)
         rows = rows[np.bincount(surfel[rows])[surfel[rows]] >= MIN_VIEWS]
         surfel, recorded, limit = (

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: MIT
 """Estimates the radiance of sources that every photograph clips, from the surfaces that they illuminate.
 
-At a surfel i below the limit, with the known light E_i and the contribution F_ik of source k at radiance 1,
+At an unclipped surfel i, with the known light E_i and the contribution F_ik of source k at radiance 1,
 
     ln L_i = ln D_g + ln (E_i + sum_k F_ik Le_k).
 
-The model omits the specular reflection of L_i, which does not follow the diffuse shading: on a dark, glossy
-floor it is strongest in the shadows. Surfels weigh less, the larger this share of L_i is for a dielectric.
+The model omits specular reflection, which does not follow the diffuse shading: on a dark, glossy floor it is
+strongest in the shadows. Surfels are weighted down by its typical share of the light from a dielectric.
 
-The albedo D_g of a region is also unknown, so the contrast within a region, between surfels with and without
-light from a source, determines Le_k. The logarithms of the sources' radiance by channel, bounded below by the
-photographs, are estimated by least squares with Student's t weights and weak priors.
+The albedo D_g of a region g is also unknown, so the contrast within a region, between surfels with and
+without light from a source, determines Le_k. The logarithms of the sources' radiance by channel, bounded
+below by the photographs, are estimated by least squares with Student's t weights and weak priors.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ MAX_SUNLIT_FACTOR = 30.0
 """Ratio above which a patch of surface is unlikely even in sunlight: its estimate is rather the light of a
 lamp that no photograph shows, so the patch keeps its photographed radiance."""
 TYPICAL_SPECULAR = 0.04
-"""Specular albedo of most dielectrics, whose ratio to the diffuse albedo is the error of a purely diffuse
-model."""
+"""Specular albedo of most dielectrics; its ratio to the diffuse albedo is the relative error of a purely
+diffuse model."""
 _SCALE = 0.15  # scale of Student's t, in ln L, without specular reflection
 _FREEDOM = 2.0
 _EFFECTIVE = 1000.0  # maximum number of independent points, since errors of neighbours are correlated
@@ -57,14 +57,14 @@ _ALBEDO, _ALBEDO_SPREAD = np.log(0.3), 1.2  # prior of ln D_g
 _BRIGHTER, _BRIGHTER_SPREAD = np.log(5.0), 2.0  # prior of ln (Le / bound)
 _HUE_SPREAD = 1.0  # spread of ln Le among channels
 _NEIGHBOUR_SPREAD = 0.35  # spread of ln Le between adjacent blocks of sky
-_MIN_SKY_SPREAD = 0.5  # minimum spread of ln Le of such a block, within which a clear sky varies by 2 or 3
+_MIN_SKY_SPREAD = 0.5  # minimum spread of ln Le of a block; clear sky varies in it by a factor of 2 to 3
 _ROUNDS = 40
 _STARTS = np.log(np.array([1.05, 3.0, 10.0, 30.0, 100.0, 300.0]))
 
 
 @dataclass(frozen=True)
 class Gathered:
-    """Light at P points from S sources and elsewhere.
+    """Light at P points from S sources and from all else.
 
     ``radiance`` (P, 3): outgoing radiance; ``known`` (P, 3): diffuse shading without the sources; ``form``
     (P, S): diffuse shading by each source at radiance 1; ``group`` (P,): index of each point's region of
@@ -163,7 +163,7 @@ class Gatherer:
         self._dark = field.baker(field.colored(sources, np.zeros_like(sources.bound)))
 
     def gathered(self, radiance: NDArray) -> Gathered:
-        """Compute the light with unphotographed surfaces lit by sources of ``radiance`` (S, 3)."""
+        """Compute the light, with unphotographed surfaces illuminated by sources of ``radiance`` (S, 3)."""
         surfels, chosen, dark = self._field.surfels, self._chosen, self._dark
         lit = self._field.baker(self._field.colored(self._sources, radiance))
         unseen = unseen_surfaces(lit, surfels, self._regions, UNSEEN_RAYS)
@@ -193,7 +193,7 @@ def doubt_of(
 
 
 def recovered(gathered: Gathered, sources: Sources, prior: Prior | None = None) -> Recovered:
-    """Estimate the radiance of the sources in clipped channels; it is as photographed in the others."""
+    """Estimate the radiance of the sources in clipped channels; in other channels, it is as photographed."""
     if prior is None:
         num_groups = int(gathered.group.max(initial=-1)) + 1
         prior = Prior(np.full((num_groups, 3), _ALBEDO), np.full(len(sources), _BRIGHTER))
@@ -246,7 +246,7 @@ def _fitted(
 def _derivatives(
     gathered: Gathered, sources: Sources, bound: NDArray, factor: NDArray, prior: Prior
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-    """Compute the cost and its gradient (3 S,) and Hessian (3 S, 3 S) by ``factor``, without the albedos."""
+    """Compute the cost with fitted albedos, and its gradient (3 S,) and Hessian (3 S, 3 S) by ``factor``."""
     num, points, count = len(factor), max(len(gathered.group), 1), len(prior.albedo)
     is_open = sources.is_open
     brighter, brighter_spread = prior.brighter[:, None], np.reshape(prior.brighter_spread, (-1, 1))

@@ -36,10 +36,10 @@ BLOCK_OF_HEIGHT, AZIMUTHS_PER_BLOCK = (0, 0, 0, 0, 0, 0, 1, 2, 2, 3, 3, 3), 3
 """Block of each row of directions in an opening, from nadir to zenith, and columns of azimuth per block; all
 directions below the horizon are one block. A clear sky is ten times as bright near the sun as elsewhere."""
 SKY_REACH = 1.0
-"""Maximum distance between bins of the background at which a photographed one shows that another is clipped;
-more blocks of sky than photographs distinguish would be solved less accurately."""
+"""Maximum distance, in radians, up to which an empty bin counts as clipped like the nearest photographed one.
+A larger one would add blocks of sky that photographs do not distinguish, hence larger errors."""
 MAX_SOURCES = 24
-"""Maximum number of sources of each other kind; further ones are merged into the last."""
+"""Maximum number of emitters and of patches; further ones are merged into the last."""
 
 
 @dataclass(frozen=True)
