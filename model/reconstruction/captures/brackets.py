@@ -21,7 +21,7 @@ from model.reconstruction.captures.photographs import PhotographSource
 MAX_APART_M = 1e-3
 """Maximum distance between the estimated camera centres of one bracket."""
 MAX_TURN_RAD = 1e-3
-"""Maximum angle between the orientations of a bracket: 0.6 of 640 pixels at a field of view of 60 degrees."""
+"""Maximum angle between orientations in a bracket: 0.6 of 640 pixels in a field of view of 60 degrees."""
 MAX_INTRINSICS_SHARE = 1e-3
 """Maximum difference between the intrinsics of one bracket, relative to the image width."""
 MIN_EXPOSURE_RATIO = 1.1
@@ -45,7 +45,7 @@ class BracketSource:
 
 
 def merged(images: Sequence[ColorImage], scales: Sequence[float]) -> ColorImage:
-    """Merge ``images`` of equal size and exposure; ``scales`` are the inverses of their original exposures.
+    """Merge ``images`` of one size at one exposure; ``scales`` are the factors by which they were multiplied.
 
     Pixels clipped in all images get the value of the shortest exposure, which is the highest lower bound.
     """

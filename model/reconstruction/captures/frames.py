@@ -2,10 +2,9 @@
 """Estimates the up axis and unit of a capture.
 
 Photographers hold cameras upright, so up is the axis within 30 degrees of the cameras' mean up direction. In
-arbitrary frames, such as those of structure from motion, up is the direction most nearly perpendicular to the
-rows of all images, regardless of the cameras' tilt. A room is assumed to be 1 m to 100 m across (diagonal of
-the bounding box); if it is larger, the unit is the millimetre or centimetre, whichever makes it closer to 8
-m.
+an arbitrary frame, as from structure from motion, up is the direction most nearly perpendicular to the pixel
+rows of all images, regardless of the cameras' tilt. The unit is the metre if the mesh is at most 100 across
+(diagonal of the bounding box), else the millimetre or centimetre, whichever makes it closer to 8 m across.
 """
 
 from __future__ import annotations
@@ -44,10 +43,10 @@ def z_up_from(up: Axis) -> NDArray[np.float64]:
 
 
 def level_rotation(cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """Compute the rotation (3, 3) that maps the up direction to +z, estimated from cameras without roll.
+    """Compute the rotation (3, 3) that maps the up direction, estimated from cameras without roll, to +z.
 
     If the pixel rows of all images are almost parallel, up is the cameras' mean up direction. Raises
-    :class:`InputError` if the cameras' up directions cancel, as of cameras that look straight down.
+    :class:`InputError` if the cameras' up directions cancel, as when they look straight down.
     """
     along_rows = np.array([camera.world_from_camera[:3, 0] for camera in cameras])
     mean_up = -np.mean([camera.world_from_camera[:3, 1] for camera in cameras], axis=0)

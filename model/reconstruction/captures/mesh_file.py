@@ -43,7 +43,7 @@ def find_mesh(path: Path) -> Path:
 
 
 def sound_mesh(mesh: Mesh, world_from_mesh: NDArray[np.float64], path: Path) -> tuple[Mesh, tuple[str, ...]]:
-    """Transform a mesh to world space without degenerate and repeated triangles; also return notes on faults.
+    """Transform a mesh to world space, drop degenerate and repeated triangles, and return notes on faults.
 
     Raises :class:`InputError`, which names ``path``, for an unusable mesh.
     """
@@ -91,9 +91,9 @@ def _decoded(path: Path, suffix: str, budget: Budget) -> Mesh:
 
 
 def _without_repeated(mesh: Mesh) -> tuple[Mesh, int]:
-    """Remove triangles at the same positions as another, of any winding; return the mesh and their number.
+    """Remove triangles whose corners coincide with another's, in any order; return the mesh and their number.
 
-    Only one of them would receive texels.
+    Only one of several coincident triangles would receive texels.
     """
     corners = np.sort(welded(mesh)[1][mesh.faces], axis=1)
     order = np.lexsort(corners.T)

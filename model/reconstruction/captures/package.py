@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Reads captures from environment packages, with photographs next to the package.
 
-The Blender add-on exports such packages, so a scene modelled from photographs needs no other export.
-Photographs are named after their cameras.
+The Blender add-on exports such packages, so a scene modelled from photographs needs no other export. Each
+photograph has the name of its camera.
 """
 
 from __future__ import annotations

@@ -33,11 +33,11 @@ PAPER_GAMMA = 2.2
 CLIPPED_LEVEL = 0.96
 """Linear value from which a pixel counts as clipped; JPEG stores clipped pixels a few steps below 1."""
 MIN_CLIPPED_SHARE = 0.02
-"""Share of clipped pixels in a resampled pixel numerator which it counts as clipped."""
+"""Share of clipped pixels in a resampled pixel above which it counts as clipped."""
 _EXIF_ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
 _EXPOSURE_TIME, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
 _QUARTER_TURNS = {3: 2, 4: 2, 5: 1, 6: 1, 7: 3, 8: 3}  # clockwise, to turn a stored image upright
-_ASPECT_SLACK_PX = 1.0  # since calibrations round sizes differently
+_ASPECT_SLACK_PX = 1.0  # calibrations round sizes differently
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def _has_aspect_of(width: int, height: int, camera: Camera) -> bool:
 
 
 def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
-    """Return the stored image (H, W, C), rotated upright if only that has the camera's aspect ratio.
+    """Return the image (H, W, C) as stored, or upright if only that has the camera's aspect ratio.
 
     Calibration tools differ in whether they apply the EXIF orientation. Raises :class:`InputError` if neither
     image has the camera's aspect ratio.
@@ -249,7 +249,7 @@ def lens_pixels(lens: Camera, distortion: Distortion | None, rays: NDArray) -> N
 
 
 def _distorted_radius(distortion: Distortion, r: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute the radii at which a lens without tangential distortion shows the radii ``r``, of any shape."""
+    """Compute the radii to which a lens without tangential distortion maps the radii ``r``, of any shape."""
     if distortion.model != "fisheye":
         return r * _radial(distortion, r**2)
     theta = np.arctan(r)

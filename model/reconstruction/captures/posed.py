@@ -89,7 +89,7 @@ class ImageFinder:
             if image is not None and can_read(image):
                 return image
         found = [image for image in self._named(name) if can_read(image)]
-        found = [image for image in found if not is_raw(image)] or found  # cameras write raw and JPEG files
+        found = [image for image in found if not is_raw(image)] or found  # cameras write raw and JPEG at once
         return found[0] if len(found) == 1 else None
 
     def require(self, name: str) -> Path:
@@ -209,7 +209,7 @@ def numbers(text: str | None, count: int, where: Path, field: str) -> NDArray[np
 
 
 def rotation_part(matrix: ArrayLike, where: Path, field: str) -> NDArray[np.float64]:
-    """Return the rotation nearest to a (3, 3) matrix without its uniform scale.
+    """Return the rotation nearest to a (3, 3) matrix, ignoring uniform scale.
 
     Raises :class:`InputError` if the matrix is not a scaled rotation.
     """
@@ -237,7 +237,7 @@ def polynomial(
 
 
 def check_skew(skew_px: float, focal_px: float, height_px: int, where: Path, field: str) -> None:
-    """Raise :class:`InputError` if a skew, which shifts u by ``skew_px`` y / z, is visible at the border."""
+    """Raise :class:`InputError` if a skew, which shifts u by ``skew_px`` y / z, matters at the border."""
     if abs(skew_px) * 0.5 * height_px / focal_px > _MAX_SKEW_PX:
         remedy = "calibrate without skew (b2 = 0), or export undistorted images"
         raise input_error(where, field, skew_px, "no skew", remedy)

@@ -3,8 +3,8 @@
 recorded.
 
 Black and white levels are the file's; values are not brightened, and no curve is applied. Channels are scaled
-so that the weakest channel in white light reaches 1 at the sensor's limit. Pixels interpolated from a sensor
-value at the limit count as clipped in all channels, since the colour matrix mixes channels.
+so that the one with the highest response to white light reaches 1 at the sensor's limit. Pixels interpolated
+from a sensor value at the limit count as clipped in all channels, since the colour matrix mixes channels.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.images import check_size
 
 LIMIT_SHARE = 0.99
-"""Clipping level between black level (0) and white level (1); sensors saturate slightly below 1."""
+"""Clipping level, from black level (0) to white level (1); sensors saturate slightly below 1."""
 _REACH_PX = 5
 """Side of the square of sensor values from which a pixel is interpolated."""
 _TURNS = {3: 2, 5: 1, 6: -1}  # counter-clockwise quarter turns for each flip code of libraw
