@@ -108,8 +108,8 @@ def make_asset(
         if reading.up == "auto":
             reading = replace(reading, up="cameras")
         if own_mesh is None:
-            # a surface through COLMAP's points is in the cameras' frame, but lacks most edges of the room;
-            # sparse points are accurate, and the wide triangles between them are not noise
+            # COLMAP's surface is in the cameras' frame, but lacks most edges of the room, which the check
+            # compares; sparse points are accurate, and the wide triangles between them are not noise
             inference = replace(inference, is_checked=False, mends_mesh=not run.has_sparse_mesh)
         capture = read_capture(cameras, reading)
     report = None
