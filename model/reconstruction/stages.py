@@ -70,7 +70,7 @@ class Run:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Advance]:
-        """Time a stage and report its start and end; yields a callback for its progress (done, total)."""
+        """Time a stage and report its start and end; yield a callback for its progress (done, total)."""
         last = (0, 1)
 
         def advance(done: int, total: int) -> None:

@@ -160,7 +160,7 @@ class Reading:
             self.problems += error.problems
 
     def calibration(self, folder: Path, nothing: Problem, unposed: str = "") -> Calibration:
-        """Return the images, with a note ``unposed`` on the number of others.
+        """Return the images, with a note of the number of images without a pose followed by ``unposed``.
 
         Raises :class:`InputError` with all faults, or with ``nothing`` if there are no images either.
         """

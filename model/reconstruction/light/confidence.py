@@ -179,7 +179,7 @@ def _ramp(value: NDArray | float, ends: tuple[float, float]) -> NDArray:
 
 @dataclass(frozen=True)
 class SurfelConfidence:
-    """Confidence of N surfels by cell and side of the surfel grid.
+    """Confidence of N surfels by cell and side, one of six directions of the normal, of the surfel grid.
 
     ``low`` (3,), ``cell_m`` and ``shape`` (3,): lower corner, cell size and number of cells of the grid;
     ``cell`` (N,): index of each surfel's cell and side, ascending; ``confidence`` (N, 3): D, S and R in steps

@@ -6,7 +6,7 @@ plane is parallel to the face, at the depth where these rays cover the smallest 
 cosine-distributed, so the mean radiance of the rays through a rectangle preserves the irradiance. All rays
 through an opening are averaged, regardless of the face of the box through which they leave.
 
-Through a hole of the mesh, photographs show the missing surface, which does not emit and is therefore darker
+Where the mesh has a hole, photographs show the missing surface, which does not emit and is therefore darker
 than white paint would be there: openings that are no brighter are holes, not windows.
 """
 

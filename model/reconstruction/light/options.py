@@ -23,7 +23,7 @@ class LightOptions(GatherOptions):
     ``num_observations``: maximum number of observations of each; ``num_rounds``: 1, or 2 for a second round
     with less noise, reflections at metals and the mean outgoing radiance of dielectrics; ``unmixes_edges``:
     whether radiance is separated in pixels that mix two surfaces; ``has_prior``: whether the network's maps
-    are a prior; ``is_corrected``: whether shading by unphotographed light is corrected smoothly.
+    are a prior; ``is_corrected``: whether ``shading_correction`` is applied.
     """
 
     finds_sun: bool = True

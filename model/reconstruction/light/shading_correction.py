@@ -3,7 +3,7 @@
 
 Missing or wrongly estimated light affects a whole neighbourhood, so the error of shading is smooth over a
 surface, regardless of texture. The correction u (N, 3) of ln rho, with the albedo rho = pi radiance /
-irradiance, minimises, over surfels,
+irradiance, minimises, over surfels and pairs (i, j) of adjacent surfels,
 
     max(c, e) u^2 + SMOOTHNESS sum w (u_i - u_j)^2
         + (1 - c) (W_p (ln(D_p / rho) - u)^2 + W_r (ln(D_r / rho) - u)^2),

@@ -40,8 +40,8 @@ MIN_DARK_METAL = 0.1
 MIN_EVIDENCE = 0.05
 DIELECTRIC_RESIDUAL, METAL_RESIDUAL = (0.03, 0.06), (0.06, 0.12)
 """Ranges of a segment's residual over which confidence decreases from 1 to 0, since no hypothesis explains
-the observations. Unexplained dielectrics are mostly metals in inexact light or geometry; correct metals fit
-worse than correct dielectrics, since they reflect the errors of light and geometry."""
+the observations. Dielectrics of high residual are mostly metals in inexact light or geometry; true metals fit
+worse than true dielectrics, since they reflect the errors of light and geometry."""
 NETWORK_VARIANCE = 0.1
 """Variance of the network's R. Times the square root of the number of views, it is compared with the variance
 of R over hypotheses, which omits errors of light and geometry: all hypotheses share them, and they are

@@ -55,8 +55,8 @@ TYPICAL_WHITE = 0.85
 MIN_WHITE, MAX_CHROMA = 0.7, 0.12
 """Minimum albedo of white paint, averaged over channels, and maximum difference between its channels."""
 HALF_SUPPORT = 300.0
-"""Number of confident surfels of one white at which it has the same weight as :data:`TYPICAL_WHITE`."""
-_STEP, _BANDWIDTH, _REACH = 0.005, 0.015, 0.04  # of the histogram, its smoothing, and the support of its mode
+"""Number of confident surfels near the most frequent white at which it weighs as much as the typical one."""
+_STEP, _BANDWIDTH, _REACH = 0.005, 0.015, 0.04  # histogram: bin width, smoothing, reach of the mode
 SIMILAR = 0.35
 """Difference in ln reflectance from the pixel at which a surfel's S and R are weighted by exp(-1/2)."""
 MAX_EXCESS = 1.5
@@ -106,7 +106,7 @@ class White(NamedTuple):
 
 
 def white_paint(albedo: NDArray, confidence: NDArray) -> White:
-    """Compute the most frequent ``albedo`` (N, 3) of bright grey surfels, weighted by ``confidence`` (N,) and
+    """Compute the mode of the ``albedo`` (N, 3) of bright grey surfels, weighted by ``confidence`` (N,) and
     shrunk to :data:`TYPICAL_WHITE`.
     """
     mean = np.minimum(albedo.mean(axis=1), MAX_ALBEDO)

@@ -41,12 +41,12 @@ MAX_POINTS, RAYS, UNSEEN_RAYS = 2500, 1152, 48
 rays per point of unphotographed surfaces."""
 DOUBT_RAYS = 144
 MIN_VIEWS, MIN_PHOTOGRAPHED = 2, 0.5
-"""Minimum number of views of a surfel, and minimum photographed share of its light, for its use."""
+"""Minimum number of views of a surfel, and minimum photographed share of its light, for the estimate."""
 MAX_FACTOR = 3000.0
 """Maximum ratio of a source's radiance to its photographed radiance."""
 MAX_SUNLIT_FACTOR = 30.0
-"""Ratio above which a patch of surface is unlikely even in sunlight: its estimate is rather the light of a
-lamp that no photograph shows, so the patch keeps its photographed radiance."""
+"""Ratio that a patch of surface rarely exceeds, even in sunlight. A higher estimate is rather due to a lamp
+that no photograph shows, so the patch keeps its photographed radiance."""
 TYPICAL_SPECULAR = 0.04
 """Specular albedo of most dielectrics; its ratio to the diffuse albedo is the relative error of a purely
 diffuse model."""
@@ -123,7 +123,7 @@ class SourceField:
         )
 
     def baker(self, colored: Colored) -> Baker:
-        """Make a baker of the light in the room with the radiance ``colored``."""
+        """Make a :class:`Baker` for the room with the radiance ``colored``."""
         grid, emitters = self.surfels.grid, self._emitters
         power = self._area * (colored.emitters @ LUMINANCE_WEIGHTS)[emitters.of_face[emitters.triangles]]
         shining = replace(emitters, radiance=colored.emitters, power=power.astype(np.float32))

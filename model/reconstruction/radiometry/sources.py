@@ -160,7 +160,7 @@ def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDA
 def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the source (B,) of each bin, -1 for none, and the pairs (J, 2) of adjacent blocks of sky.
 
-    ``share`` (B, 3) of a bin's pixels is clipped; ``seen`` (B,) counts its clipped pixels. Each block of
+    ``share`` (B, 3) and ``seen`` (B,): share and number of a bin's pixels that are clipped. Each block of
     directions in an opening is a source.
     """
     opening = _openings((share >= CLIPPED_SHARE).any(axis=1), seen)
