@@ -238,8 +238,8 @@ def _binary_images(path: Path, budget: Budget) -> Iterator[tuple[str, tuple[int,
 
 
 def read_sights(folder: Path, budget: Budget, max_error_px: float) -> Sights:
-    """Read the lines of sight to points of a binary model whose mean reprojection error is at most
-    ``max_error_px``. Raises :class:`InputError`.
+    """Read the lines of sight to those points of a binary model that have a mean reprojection error of at
+    most ``max_error_px``. Raises :class:`InputError`.
     """
     where = folder / "images.bin"
     images = [

@@ -107,7 +107,7 @@ def _without_repeated(mesh: Mesh) -> tuple[Mesh, int]:
 
 
 def _read_gltf(path: Path, budget: Budget) -> Mesh:
-    """Read the triangles of all nodes in the scene's frame as one mesh, with v upwards."""
+    """Read the triangles of all nodes in the scene's frame as one mesh, with v of UVs upwards."""
     meshes: list[Mesh] = []
     with GltfFile(path, budget) as file:
         nodes = list(file.placed_nodes())

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Confidence of D, S and R recovered from light, which weights them against the network's predictions."""
+"""Confidence of D, S and R recovered from light, which weights them against the network's predictions.
+
+Surfels that seem to reflect more than their incident light indicate unphotographed light sources.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +72,7 @@ def surfel_confidence(photographed: NDArray, is_mirror: NDArray[np.bool_]) -> ND
 
 @dataclass(frozen=True)
 class ImpossibleShares:
-    """Shares of surfels that reflect more than their incident light, because of unphotographed light sources.
+    """Shares of surfels that reflect more than their incident light.
 
     ``around`` (N,): share near each surfel within its smooth region; ``of_room``: share in the whole room.
     """

@@ -24,7 +24,7 @@ from model.reconstruction.light.lamps import found_lamps, found_panels
 from model.reconstruction.light.openings import divide_openings, found_openings, leaving_rays
 
 NUM_SAMPLES = 1600
-"""Number of pixels against which the radiance of exported lights is balanced."""
+"""Number of pixels to which the gains of exported lights are fitted."""
 _SEED = 0x62616C
 HEIGHT, WIDTH = 64, 128
 """Size of the sky image in pixels."""

@@ -33,7 +33,7 @@ from model.reconstruction.light.rectangles import cover, cut
 EXCESS = 2.5
 """Minimum radiance of a lamp relative to that of a white surface in the same light."""
 FAINTEST, MIN_VIEWS = 0.2, 3
-"""Share of the views in which a lamp may be fainter, and minimum number of views that show it."""
+"""Share of the views in which a lamp may be fainter than that, and minimum number of views that show it."""
 MIN_PHOTOGRAPHED = 0.5
 """Minimum photographed share of a surfel's hemisphere, since irradiance lacks the light of hidden lamps."""
 MIN_CELLS, MIN_SHARE = 4, 0.003
@@ -116,7 +116,7 @@ def found_panels(lit: Lit) -> tuple[FoundPatch, ...]:
 
 
 def _within(tree: cKDTree, points: NDArray[np.int64], reach: float) -> NDArray[np.int64]:
-    """Find the points of ``tree`` within ``reach`` of any of ``points`` along every axis, as indices."""
+    """Return the indices of points of ``tree`` within ``reach`` of any of ``points`` along every axis."""
     lists = tree.query_ball_point(points, reach, p=np.inf)
     return np.unique(np.concatenate([np.asarray(found, dtype=np.int64) for found in lists]))
 

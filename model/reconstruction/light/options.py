@@ -49,9 +49,9 @@ STEPS = (
 class LightReport:
     """Statistics of the light stage.
 
-    ``photographed_share``: mean photographed share of the surfels' hemispheres; ``confidence``: mean of D, S
-    and R over surfels; ``seconds``: time of each step; ``memory_mb``: peak resident memory at the end of each
-    step.
+    ``photographed_share``: mean photographed share of the surfels' hemispheres; ``confidence``: mean
+    confidence of D, S and R over surfels; ``seconds``: time of each step; ``memory_mb``: peak resident memory
+    at the end of each step.
     """
 
     num_surfels: int = 0

@@ -52,7 +52,7 @@ UNSEEN_WEIGHT = 0.05
 NUM_DIRECTIONS, RAYS = 6, 8
 """Number of cosine-distributed outgoing directions of a surfel, and number of rays for each."""
 SPECULAR_RAYS = 3
-"""Rays per observation for its specular part; the median over observations has less noise than each."""
+"""Rays per observation for its specular part; the median over several observations reduces the noise."""
 MIN_DIFFUSE = 0.1
 """Minimum diffuse part, relative to the photographed radiance."""
 ROUGH = (0.5, 0.8)

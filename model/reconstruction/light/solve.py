@@ -25,7 +25,7 @@ from datagen.multiview.compiled import compiled
 
 ROUGHNESS_LEVELS = np.array([0.12, 0.25, 0.4, 0.55, 0.75, 1.0], np.float32)
 SPECULAR_LEVELS = np.array([0.0, 0.02, 0.04, 0.06, 0.08], np.float32)
-"""Specular albedos of dielectrics, from water (0.02) to sapphire (0.08)."""
+"""Specular albedos: 0 for matte surfaces, and those of dielectrics from water (0.02) to sapphire (0.08)."""
 MAX_ALBEDO = 0.95
 MAX_FITTED_ALBEDO = 1.1
 """Maximum D of a hypothesis. It exceeds 1 so that errors of the shading of white paint are not attributed to

@@ -64,7 +64,7 @@ MAX_EXCESS = 1.5
 margin allows for errors of shading."""
 _DARK = 1e-12  # avoids 0 / 0 in the reflectance of a room without light
 EDGE_NEIGHBOURS, EDGE_RANGE = 25, 0.1
-"""Number of neighbours of a surfel, and minimum range of their visible shares of the sun at an edge of
+"""Number of neighbours of a surfel, and minimum range of the share of the sun visible from them at an edge of
 sunlight."""
 NUM_AVERAGED, MAX_DISTANCE_CELLS = 16, 20
 """Number of surrounding surfels that are averaged, and maximum distance to the nearest in cells."""

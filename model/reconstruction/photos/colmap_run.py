@@ -39,7 +39,7 @@ _RENAMED = {"--SiftExtraction.": "--FeatureExtraction.", "--SiftMatching.": "--F
 
 @dataclass(frozen=True)
 class Step:
-    """Commands that run as one step; ``clears`` lists files and folders that are cleared first."""
+    """Commands that run as one step; ``clears`` lists files to remove and folders to empty first."""
 
     name: str
     commands: tuple[tuple[str, ...], ...]
@@ -47,9 +47,9 @@ class Step:
 
 
 def lists_by_size(photographs: Sequence[Path], work: Path) -> dict[Path, list[str]]:
-    """Return the names of the photographs of each size by path of their list; {} for a single size.
+    """Return the names of the photographs of each size, by the path of a list file; {} for a single size.
 
-    Photographs of different sizes, such as those held upright, cannot share a camera in COLMAP.
+    Photographs of different sizes, such as landscape and portrait, cannot share a camera in COLMAP.
     """
     names: dict[tuple[int, int], list[str]] = {}
     for file in photographs:

@@ -6,7 +6,8 @@ At an unclipped surfel i, with the known light E_i and the contribution F_ik of 
     ln L_i = ln D_g + ln (E_i + sum_k F_ik Le_k).
 
 The model omits specular reflection, which does not follow the diffuse shading: on a dark, glossy floor it is
-strongest in the shadows. Surfels are weighted down by its typical share of the light from a dielectric.
+strongest in the shadows. The scale of residuals therefore increases with the ratio of specular to diffuse
+reflection of a typical dielectric.
 
 The albedo D_g of a region g is also unknown, so the contrast within a region, between surfels with and
 without light from a source, determines Le_k. The logarithms of the sources' radiance by channel, bounded

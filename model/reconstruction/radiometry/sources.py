@@ -64,7 +64,7 @@ class Sources:
     def colored(
         self, values: NDArray, emitters: Emitters, background: Background, surfels: Surfels
     ) -> Colored:
-        """Replace the clipped channels of every source's radiance by its row of ``values`` (sources, 3)."""
+        """Replace the clipped channels of every source's radiance by its row of ``values`` (S, 3)."""
         return Colored(
             _replaced(emitters.radiance, self.of_emitter, values, self.is_open),
             _replaced(background.radiance, self.of_bin, values, self.is_open),
