@@ -70,9 +70,9 @@ MAX_NAME = 185
 class FinalViews:
     """The views with their final maps.
 
-    ``sides`` (M,): the outer side of each triangle, 1 for the front, -1 for the back. ``density``: pixels per
-    metre of the surface in the views. ``can_be_seen`` (M,): mask of the triangles visible in a view or from a
-    surface visible in a view.
+    ``sides`` (M,): the side of each triangle that most pixels show, 1 for the front, -1 for the back.
+    ``density``: pixels per metre of the surface in the views. ``can_be_seen`` (M,): mask of the triangles
+    visible in a view or from a surface visible in a view.
     """
 
     views: list[MapView]

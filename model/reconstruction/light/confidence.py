@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Confidence of D, S and R recovered from light, which weights them against the network's predictions.
-
-Surfels that seem to reflect more than their incident light indicate unphotographed light sources.
-"""
+"""Confidence of D, S and R recovered from light, which weights them against the network's predictions."""
 
 from __future__ import annotations
 
@@ -19,8 +16,8 @@ from datagen.light.surfels import CellGrid, Surfels, cell_of
 from datagen.multiview.compiled import compiled
 
 IMPOSSIBLE = (0.1, 0.3)
-"""Range of the local share of surfels that reflect more than their incident light, over which the confidence
-of D, S and R decreases to 0."""
+"""Range of the local share of surfels that reflect more than their incident light, a sign of unphotographed
+sources, over which the confidence of D, S and R decreases to 0."""
 IMPOSSIBLE_ROOM = (0.12, 0.2)
 """Range of the room's share of surfels that reflect more than their incident light; below it, local shares do
 not reduce confidence."""
@@ -166,8 +163,7 @@ def light_certainty(doubt: NDArray, diffuse: NDArray, region: NDArray) -> NDArra
     """Compute the trust (N,) in the light of surfels from the uncertain luminance ``doubt`` (N,) of their
     diffuse shading ``diffuse`` (N, 3).
 
-    It is at most the trust in their smooth ``region`` (N,) as a whole: few rays from a surfel hit a small
-    source, so its own share of uncertain light is noisy.
+    It is at most the trust in their whole smooth ``region`` (N,): few rays hit small sources, which is noisy.
     """
     shading = np.maximum(diffuse @ LUMINANCE_WEIGHTS, 1e-12)
     part = np.bincount(region, doubt) / np.maximum(np.bincount(region, shading), 1e-12)

@@ -48,7 +48,7 @@ DARK = 1e-3
 """Minimum luminance of a window relative to the median over surfels."""
 AROUND = 64
 """Number of surfels around an opening; their mean diffuse shading is the radiance of white paint there."""
-_GAP = 1e-3  # from plane to rectangles in box diagonals, so that rectangles never coincide with a wall
+_GAP = 1e-3  # from plane to rectangles, in box diagonals, so that these never coincide with a wall
 
 
 @dataclass(frozen=True)
