@@ -218,7 +218,7 @@ def _step(
 
 
 def mended(traced: TracedCapture, run: Run) -> TracedCapture:
-    """Correct the capture's poses and trace it again, unless the views would not agree clearly better."""
+    """Correct the capture's poses and trace it again if the views then agree clearly better."""
     with run.stage("poses"):
         found = mended_poses(traced.views)
         before, after = found.residual

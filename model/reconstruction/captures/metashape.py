@@ -40,7 +40,7 @@ _EARTH = ("GEOGCS", "GEOCCS", "PROJCS", "GEOGCRS", "PROJCRS", "COMPD_CS", "COMPO
 
 
 def find(path: Path) -> Path | None:
-    """Return the camera file ``path``, or the only one in the folder ``path``; None if there is none."""
+    """Return the camera file ``path``, or the only one in the folder ``path``; None for none or several."""
     files = sorted(path.glob("*.xml")) if path.is_dir() else [path] if path.suffix.lower() == ".xml" else []
     found = [file for file in files if "<document" in head_of(file) and "<chunk" in head_of(file)]
     return found[0] if len(found) == 1 else None

@@ -51,7 +51,7 @@ _FILM_MM = 36.0
 
 
 def find_csv(path: Path) -> Path | None:
-    """Return the CSV of cameras ``path``, or the only one in the folder ``path``; None if there is none."""
+    """Return the camera CSV ``path``, or the only one in the folder ``path``; None for none or several."""
     files = sorted(path.glob("*.csv")) if path.is_dir() else [path] if path.suffix.lower() == ".csv" else []
     found = [file for file in files if _columns(head_of(file)) is not None]
     return found[0] if len(found) == 1 else None

@@ -41,7 +41,7 @@ class ShardSource:
         return ColorImage(beauty, np.ones(beauty.shape[:2], dtype=bool))
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
-        """Read those of the buffers ``names`` that are stored, (H, W, C) each."""
+        """Read the buffers ``names`` that are stored, (H, W, C) each."""
         return self._decode(names)
 
     def _decode(self, names: tuple[str, ...]) -> dict[str, NDArray]:

@@ -163,7 +163,7 @@ def light_certainty(doubt: NDArray, diffuse: NDArray, region: NDArray) -> NDArra
     """Compute the trust (N,) in the light of surfels from the uncertain luminance ``doubt`` (N,) of their
     diffuse shading ``diffuse`` (N, 3).
 
-    It is at most the trust in their whole smooth ``region`` (N,): few rays hit small sources, which is noisy.
+    It is at most the trust in their whole smooth ``region`` (N,): small sources make the shares noisy.
     """
     shading = np.maximum(diffuse @ LUMINANCE_WEIGHTS, 1e-12)
     part = np.bincount(region, doubt) / np.maximum(np.bincount(region, shading), 1e-12)

@@ -122,7 +122,7 @@ def find_radiometry(views: Sequence[TracedView], surfels: Surfels) -> Radiometry
 
 
 def _channels(views: Sequence[TracedView], surfels: Surfels) -> tuple[list[_Channel], int]:
-    """Choose usable observations by channel, none if they are too few; also return their total number."""
+    """Choose usable observations by channel, none if too few; also return the number of candidates."""
     observations = surfels.observations
     common = float(np.quantile(surfels.radiance, 0.99))
     limit = np.array([common if view.limit is None else view.limit for view in views])

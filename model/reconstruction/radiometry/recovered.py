@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Estimates the radiance of sources that every photograph clips, from the surfaces that they illuminate.
 
-At an unclipped surfel i, with the known light E_i and the contribution F_ik of source k at radiance 1,
+At an unclipped surfel i, with the known diffuse shading E_i and the part F_ik by source k at radiance 1,
 
     ln L_i = ln D_g + ln (E_i + sum_k F_ik Le_k).
 

@@ -34,7 +34,7 @@ MIN_PIXELS, MAX_OPENINGS = 0.03, 6
 merged with the largest."""
 BLOCK_OF_HEIGHT, AZIMUTHS_PER_BLOCK = (0, 0, 0, 0, 0, 0, 1, 2, 2, 3, 3, 3), 3
 """Block of each row of directions in an opening, from nadir to zenith, and columns of azimuth per block; all
-directions below the horizon are one block. A clear sky is ten times as bright near the sun as elsewhere."""
+directions below the horizon are one block. Near the sun, a clear sky is ten times as bright as elsewhere."""
 SKY_REACH = 1.0
 """Maximum distance, in radians, up to which an empty bin counts as clipped like the nearest photographed one.
 A larger one would add blocks of sky that photographs do not distinguish, hence larger errors."""
