@@ -210,7 +210,7 @@ def _support_surfaces(
 
 
 def _is_same(one: _Rectangle, other: _Rectangle) -> bool:
-    """Return whether two horizontal rectangles overlap and are less than 5 cm apart in height."""
+    """Return whether two horizontal rectangles overlap by over 10 cm at heights within 5 cm."""
     common = np.minimum(one[1] + one[2], other[1] + other[2]) - np.maximum(one[1], other[1])
     return abs(one[0] - other[0]) < 0.05 and bool((common > 0.1).all())
 
@@ -218,7 +218,7 @@ def _is_same(one: _Rectangle, other: _Rectangle) -> bool:
 def without_stairs(surfaces: list[SupportSurface]) -> list[SupportSurface]:
     """Return the surfaces except stair treads, which adjoin surfaces one step above and one step below.
 
-    Boards of a shelf are not adjoining, since they are directly above each other.
+    The boards of a shelf do not count as adjoining, since they lie directly above each other.
     """
 
     def is_step(low: SupportSurface, high: SupportSurface) -> bool:
@@ -282,7 +282,7 @@ def _raster(
 
 
 def opening_of(mesh: Mesh, name: str, inside_m: NDArray[np.float64]) -> Opening:
-    """Return the vertical rectangle that bounds a mesh such as a window pane and faces ``inside_m`` (3,)."""
+    """Return the vertical rectangle that bounds ``mesh``, such as a pane, and faces ``inside_m`` (3,)."""
     points = mesh.positions.astype(np.float64)
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     flat = points[:, :2] - points[:, :2].mean(axis=0)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Import of files that Blender reads (FBX, USD, .blend, glTF with Draco).
 
-Blender's module converts them to glTF in a separate process; the result has the budget of any glTF file.
+Blender's module converts them to glTF in a separate process; the result is subject to the limits of any
+glTF file.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _MARK = "to_gltf: "
 
 
 def uses_draco(path: Path) -> bool:
-    """Return whether a glTF file uses Draco and Blender's module, which decodes it, is installed."""
+    """Return whether a glTF file (up to ``MAX_TEXT_BYTES``) uses Draco and Blender's decoder is installed."""
     if importlib.util.find_spec("bpy") is None or path.stat().st_size > MAX_TEXT_BYTES:
         return False
     with path.open("rb") as file:

@@ -73,7 +73,7 @@ class ImageCache:
         self._pixels: dict[Path, NDArray] = {}
 
     def pixels(self, file: Path) -> NDArray:
-        """Return the pixels (H, W, C) of an image file, which :func:`read_any_image` reads only once."""
+        """Return the pixels (H, W, C) of an image, memoised. Raises :class:`InputError` if unreadable."""
         if file not in self._pixels:
             if file.is_file():
                 self._budget.hold_file(file)
@@ -96,7 +96,7 @@ class ImageCache:
         *colors: ColorValue,
         scalars: tuple[ScalarValue, ...] = (),
     ) -> ColorValue:
-        """Compute a colour by ``function`` from arrays of ``colors`` (..., 3), then ``scalars`` (..., 1).
+        """Compute a colour as ``function(*colors, *scalars)``, called with arrays (..., 3) and (..., 1).
 
         The result is clipped to [0, 1], has the resolution of the largest image and is baked under the name
         ``label``. If it varies by less than half an 8-bit step, a constant is returned.
@@ -105,7 +105,7 @@ class ImageCache:
         return cast(ColorValue, self._combined(label, function, inputs, is_scalar=False))
 
     def scalar(self, label: str, function: Callable[..., NDArray], *scalars: ScalarValue) -> ScalarValue:
-        """Compute a scalar by ``function`` from arrays of ``scalars``, as :meth:`color` does."""
+        """Compute a scalar as ``function(*scalars)``, called with arrays (H, W) or (); see :meth:`color`."""
         inputs = [(value, True) for value in scalars]
         return cast(ScalarValue, self._combined(label, function, inputs, is_scalar=True))
 
@@ -116,7 +116,7 @@ class ImageCache:
         inputs: Sequence[tuple[Value, bool]],
         is_scalar: bool,
     ) -> Value:
-        """Compute :meth:`color` or :meth:`scalar` from pairs of a value and whether it is a scalar."""
+        """Compute :meth:`color` or :meth:`scalar`; ``inputs`` are pairs (value, whether it is a scalar)."""
         arrays = [self.values(value, scalar) for value, scalar in inputs]
         images = [a for (v, _), a in zip(inputs, arrays, strict=True) if not is_constant(v)]
         sizes = [(a.shape[0], a.shape[1]) for a in images]

@@ -21,7 +21,7 @@ def _by_word(table: str) -> dict[str, Any]:
 
 
 _WORD_CLASS: dict[str, MaterialClass] = _by_word("class_words")
-_FINISHES = {"paint", "painted", "lacquer", "lacquered", "glazed", "wallpaper"}  # hide the material below
+_FINISHES = {"paint", "painted", "lacquer", "lacquered", "glazed", "wallpaper"}  # these cover the material
 _WORD_CATEGORY: dict[str, str] = _by_word("category_words")
 ROLE_OF_WORD: dict[str, str] = _by_word("map_words")
 """Role of an image in a material, such as ``roughness``, by the last word or two of its name."""
@@ -31,7 +31,7 @@ _TALL_ON_FURNITURE = set(_TABLES["tall_on_furniture"].split())
 REPLACEABLE: dict[MaterialClass, tuple[MaterialClass, ...]] = {
     name: tuple(others) for name, others in _TABLES["replaceable"].items()
 }
-"""Classes of materials that may replace a slot's material, by the class of the latter."""
+"""Classes whose materials may replace a slot's material, by the class of the slot's material."""
 
 
 def words_of(name: str) -> list[str]:
@@ -42,7 +42,8 @@ def words_of(name: str) -> list[str]:
 def guess_class(*names: str, fallback: MaterialClass = "other") -> MaterialClass:
     """Return the material class implied by the first of ``names`` with a known word.
 
-    Of several known words, the first finish is used, else the last that is not plaster, paper or fabric.
+    Of several known words, the first coating (paint, lacquer) is used, else the last that is not plaster,
+    paper or fabric, else the last.
     """
     for name in names:
         words = words_of(name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The subcommand ``datagen import``, which defers heavy imports."""
+"""The subcommand ``datagen import``. Heavy modules are imported only when it runs."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from datagen.foundation.paths import inside
 from datagen.importers.channels import ImageCache, TextureFiles
 
 EVALUATION_SCENES = {"veach-ajar": "Veach, Ajar", "dining-room": "The Breakfast Room"}
-"""Titles of the test scenes of the reconstruction paper, by folder; they are ``evaluation_only``."""
+"""Titles, by folder name, of two scenes that are always imported as ``evaluation_only``."""
 
 RESTORE_IT = "restore it, or import with --missing replace"
 OPAL_ALBEDO = 0.7
@@ -45,10 +45,10 @@ _SOURCE = re.compile(r"original file may be obtained here:\s*(?P<source>\S+)", r
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Options of an import; for empty strings, values are detected or derived.
+    """Options of an import. Values for empty strings are detected or derived.
 
     ``dielectric``: ``refuse`` transparent materials, or ``replace`` them: flat panes and thin dielectrics are
-    removed, solid bodies become opal glass; ``dielectric_as`` overrides this by material name. ``missing``:
+    removed, solid bodies become opal glass; ``dielectric_as`` decides for single materials. ``missing``:
     ``refuse`` missing files, or ``replace`` them with grey or omit them. ``unit_scale``: metres per unit of
     the file; None: 1, or a plausible value for formats without a unit. ``defines``: values of a Mitsuba
     scene's variables. ``allowed``: folders, in addition to the source's, from which files may be read.
@@ -84,9 +84,9 @@ class ImportOptions:
 
 
 class ImportJob:
-    """The import of the source ``where``: its options and budget, findings, problems and textures.
+    """State of the import of the source ``where``: options, budget, findings, problems and textures.
 
-    ``findings`` and ``budget`` are those of an enclosing import, if any.
+    ``findings`` collect approximations and notes; like ``budget``, an enclosing import may pass its own.
     """
 
     def __init__(
@@ -203,7 +203,7 @@ def provenance(
 
 
 def part_of(name: str, slot: str, mesh: Mesh, file: str = "", asset_from_part: Matrix4 = IDENTITY4) -> Part:
-    """Return a part; ``mesh`` is in the asset's frame, its ``file`` by default ``meshes/<name>.ply``."""
+    """Return a part with ``mesh``, given in the asset's frame; ``file`` defaults to ``meshes/<name>.ply``."""
     density = mesh.uv_per_m()
     return Part(
         name=name,
@@ -215,7 +215,7 @@ def part_of(name: str, slot: str, mesh: Mesh, file: str = "", asset_from_part: M
 
 
 def note_mended(findings: Findings, num_mended: Sequence[int]) -> None:
-    """Note that unusable normals were replaced, given their number in each mesh."""
+    """Add a note on replaced normals; ``num_mended``: number of unusable normals in each mesh."""
     count, num = sum(num_mended), sum(n > 0 for n in num_mended)
     if count:
         findings.note(f"{count} normals of {num} meshes replaced (missing or in the surface's plane)")

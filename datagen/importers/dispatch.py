@@ -28,7 +28,7 @@ _SCENE_FILES = ("scene.xml", "scene_v3.xml")
 
 @dataclass(frozen=True)
 class Source:
-    """An importable source: ``kind`` is ``material`` for a texture folder, else that of the file's suffix."""
+    """An importable source; ``kind``: ``material`` for a texture folder, else the entry in :data:`_KINDS`."""
 
     path: Path
     kind: str
@@ -91,8 +91,8 @@ def import_asset(
 ) -> list[ImportedAsset]:
     """Import all sources at a path into the library folder ``out_library``, and return their records.
 
-    ``split`` makes an object of each separate group in a glTF file; ``watch`` shows the progress and the
-    records. An ``asset_id`` requires a single source. Invalid sources do not stop the import; one
+    ``split`` makes an object of each group of touching nodes in a glTF file; ``watch`` shows the progress and
+    the records. An ``asset_id`` requires a single source. Invalid sources do not stop the import; one
     :class:`InputError` at the end lists all their problems.
     """
     options = options or ImportOptions()

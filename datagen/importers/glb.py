@@ -24,7 +24,7 @@ class GlbMaterial:
 
 
 def encode_glb(surfaces: Sequence[tuple[str, Mesh]], materials: Mapping[str, GlbMaterial]) -> bytes:
-    """Encode a .glb file with one node for each pair (material name, mesh); v of the UVs points up."""
+    """Encode a .glb file with one node per pair (material name, mesh); in the meshes' UVs, v points up."""
     writer, numbers = GlbWriter(), {name: number for number, name in enumerate(materials)}
     entries = [_material_entry(writer, name, material) for name, material in materials.items()]
     meshes: list[dict[str, Any]] = []

@@ -67,12 +67,12 @@ def import_gltf(
     origin: Path | None = None,
     findings: Findings | None = None,
 ) -> list[ImportedAsset]:
-    """Convert a .gltf or .glb file to a package below ``out_library``, or to several if ``split``.
+    """Convert a .gltf or .glb file to a package below ``out_library`` or, if ``split``, to one package for
+    each group of touching root nodes.
 
-    ``split`` makes a package for each group of touching root nodes. If ``path`` was converted from another
-    format, ``origin`` is the original file, to which licence and errors refer, and ``findings`` contains the
-    findings of that conversion. Raises :class:`InputError` that lists all problems, such as unknown
-    extensions, missing files, refused transparent materials and an unknown licence.
+    If ``path`` was converted from another format, ``origin`` is the original file, whose licence is used and
+    which errors name, and ``findings`` are those of the conversion. Raises :class:`InputError` for unknown
+    extensions, missing files, refused transparent materials or an unknown licence.
     """
     budget = Budget(origin or path, options.limits)
     try:
@@ -183,7 +183,7 @@ class _GltfImporter(ImportJob):
             mesh, num_mended = with_sound_normals(Mesh(positions, faces, normals, uv))
             self.num_mended.append(num_mended)
             return mesh
-        return flat_shaded(Mesh(positions, faces, None, uv))  # required by glTF without normals
+        return flat_shaded(Mesh(positions, faces, None, uv))  # as glTF requires for files without normals
 
     def groups(self) -> list[list[_Piece]]:
         """Group pieces by root node, and merge groups with touching bounding boxes (a pot and its lid)."""
@@ -286,7 +286,7 @@ class _GltfImporter(ImportJob):
         )
 
     def _cameras(self) -> tuple[AssetCamera, ...]:
-        """Convert perspective cameras to images 720 pixels high, since glTF states no resolution."""
+        """Convert perspective cameras; images are 720 pixels high, since glTF states no resolution."""
         found = []
         for placed in self.nodes:
             if "camera" not in placed.node:

@@ -106,7 +106,9 @@ def _read_obj(path: Path, options: ImportOptions, findings: Findings, budget: Bu
 def _material_of(
     name: str, phong: PhongMaterial, path: Path, options: ImportOptions, findings: Findings, budget: Budget
 ) -> GlbMaterial:
-    """Convert an MTL material; R is from the Phong exponent, and dark mirrors (``illum`` 3) become metals."""
+    """Convert an MTL material: R follows from the Phong exponent; mirrors (``illum`` 3) with black ``Kd`` and
+    non-black ``Ks`` become metals.
+    """
     image: tuple[str, bytes] | None = None
     for keyword, text in phong.maps.items():
         if keyword != "map_kd":
@@ -164,7 +166,7 @@ def _read_stl(path: Path, options: ImportOptions, findings: Findings, budget: Bu
 
 
 def _smoothed(mesh: Mesh, budget: Budget) -> Mesh:
-    """Return the mesh with equal vertices merged and normals smooth across edges below 60 degrees."""
+    """Merge equal vertices, and compute normals that are smooth across edges of less than 60 degrees."""
     positions, joined = welded(mesh)
     faces = joined[mesh.faces]
     points = positions.astype(np.float64)

@@ -33,8 +33,8 @@ from datagen.importers.mitsuba_values import NodeValues, rgb_of
 class Draft:
     """A converted material whose textures are not yet written.
 
-    ``uv_matrix`` (3, 3) acts on UVs whose v points down. ``transparency``: ``thin`` transmits light without
-    refraction, ``body`` refracts it, ``null`` is invisible. ``height``: bump map, in scene units.
+    ``uv_matrix`` (3, 3) acts on UVs whose v points down. ``transparency``: '' for opaque, ``thin`` transmits
+    light without refraction, ``body`` refracts it, ``null`` is invisible. ``height``: bump map, scene units.
     """
 
     name: str

@@ -83,7 +83,7 @@ class NodeValues:
         return rgb_of(node.get(key, default))
 
     def scalar(self, node: SceneNode, key: str, default: float) -> ScalarValue:
-        """Return the scalar parameter ``key``: luminance of a colour, mean of a checkerboard's channels."""
+        """Return the scalar parameter ``key``; colours become luminance, checkerboards the channels' mean."""
         texture = node.child(key)
         if texture is None:
             value = node.get(key, default)
@@ -142,10 +142,10 @@ class NodeValues:
 def file_of(
     node: SceneNode, field: str, expected: str, instead: str, job: ImportJob, problems: Problems
 ) -> Path | None:
-    """Return the path of the file that a node of the scene ``problems.where`` names; None if it is refused.
+    """Return the path of the file that ``node`` of the scene ``problems.where`` names; None if refused.
 
-    The path of a missing file is returned if an option permits it, with an approximation: what is done
-    ``instead``. ``field`` and ``expected`` are those of the problem of a refused file.
+    If the options permit missing files, their paths are returned too, and an approximation that ends in
+    ``instead`` is recorded. ``field`` and ``expected`` are parts of the problem recorded for a refused file.
     """
     name = str(node.get("filename", ""))
     path, fault = fault_of(Path(problems.where).parent, name, job.options.allowed)

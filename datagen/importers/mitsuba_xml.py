@@ -42,7 +42,7 @@ _SlotKey = tuple[int, tuple[float, float, float] | None]  # id() of the BSDF nod
 
 @dataclass
 class _Shape:
-    """A shape that becomes a part; ``mesh``: before ``to_world``, with UVs whose v points up."""
+    """A shape that becomes a part; ``mesh``: in local coordinates, with UVs whose v points up."""
 
     node: SceneNode
     label: str
@@ -60,8 +60,8 @@ def import_mitsuba_scene(
 ) -> ImportedAsset:
     """Convert a scene file to an environment package in ``out_library/environments/<id>``.
 
-    Raises :class:`InputError` that lists all problems: unknown plugins, missing files, refused transparent
-    materials, an unknown licence.
+    Raises :class:`InputError` for unknown plugins, missing files, refused transparent materials or an unknown
+    licence.
     """
     return _SceneImporter(path, options or ImportOptions()).run(out_library)
 
@@ -169,7 +169,7 @@ class _SceneImporter(ImportJob):
         shapes.append(_Shape(node, label, mesh, file, transform, draft, emission, bsdf))
 
     def mesh_of(self, node: SceneNode, file: Path | None) -> tuple[Mesh, int]:
-        """Return a shape's mesh, read once but budgeted on each use, and its number of replaced normals."""
+        """Return a shape's mesh, memoised but charged on each use, and its number of replaced normals."""
         key = _source_of(node, file)
         if key in self.meshes:
             self.budget.spend("triangles", self.meshes[key][0].weight, node.where)
@@ -228,8 +228,8 @@ class _SceneImporter(ImportJob):
     def build_parts(self, shapes: list[_Shape]) -> tuple[list[Part], list[Mesh]]:
         """Add the mesh files, and return the parts and their meshes in the asset's frame.
 
-        A mesh shared by several shapes is stored once, in its local frame, others in the asset's frame.
-        Shapes without a surface are removed from ``shapes``; the others are assigned slots.
+        A mesh shared by several shapes is stored once, in its local frame; others are stored in the asset's
+        frame. Modifies ``shapes`` in place: those without a surface are removed, the others get their slot.
         """
         parts: list[Part] = []
         placed: list[Mesh] = []

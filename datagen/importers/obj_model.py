@@ -23,7 +23,7 @@ CREASE_COSINE = 0.5
 """Cosine of the crease angle, 60 degrees, below which edges within a smoothing group are smooth."""
 MIRROR_GROUP = "sweethome3d_window_mirror"
 _MAX_PAIRS = 1 << 22  # corner pairs in memory at once
-_NORMAL_DIGITS = 5  # rounding, without which numerical error would prevent corners from sharing vertices
+_NORMAL_DIGITS = 5  # rounding lets corners share a vertex despite numerical error in their normals
 _COLORS = {"kd": "diffuse", "ks": "specular", "ke": "emission"}
 
 Floats = NDArray[np.float64]
@@ -158,7 +158,7 @@ def _triangulated(points: Floats, counts: Ints, budget: Budget) -> tuple[Ints, I
 
 
 def triangulate(points: Floats, budget: Budget) -> Ints:
-    """Split a planar polygon (K, 3) without holes into triangles (K - 2, 3), by ear clipping."""
+    """Split a planar polygon (K, 3) without holes into triangles (K - 2, 3) of indices, by ear clipping."""
     ring = np.arange(len(points))
     following = np.roll(points, -1, axis=0)
     normal = np.cross(points - points[0], following - points[0]).sum(axis=0)  # Newell's method
@@ -230,8 +230,8 @@ def _corner_normals(
 def creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints, budget: Budget) -> Floats:
     """Return corner normals (M, 3 corners, 3) of ``faces`` (M, 3) with unit normals ``unit`` (M, 3).
 
-    Each is the angle-weighted mean of the normals of the faces at the vertex that differ by less than 60
-    degrees and have the same smoothing group (``smoothing``, (M,)); faces of group 0 are flat.
+    Each is the angle-weighted mean over those faces at the vertex that are in the same smoothing group
+    (``smoothing``, (M,)) and within 60 degrees of the corner's face; faces of group 0 are flat.
     """
     made = np.repeat(unit[:, None], 3, axis=1)
     chosen = np.flatnonzero(smoothing > 0)
@@ -272,7 +272,7 @@ def creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints, budge
 
 
 def _mesh(positions: Floats, uvs: Floats, corner: Ints, normals: Floats) -> Mesh:
-    """Return a surface as a mesh, with texture coordinates only if those of all corners are finite."""
+    """Return a surface as a mesh, with UVs only if all its corners have finite ones."""
     flat = corner.reshape(-1, 3)
     uv = None
     if len(uvs) and (flat[:, 1] >= 0).all():

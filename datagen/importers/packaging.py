@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Last step of every import, which writes, checks and records the package.
 
-``import.json`` in the package contains the approximations and notes of the import, and is not hashed.
+``import.json`` in the package lists the approximations and notes of the import; the package's hash excludes
+it.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ def finish(
 ) -> ImportedAsset:
     """Write, check and record the package ``folder/<id>`` (or ``.zip``).
 
-    Warnings become notes of the returned record, but not of ``import.json``. Raises :class:`InputError` if
-    the package is invalid, or if it exists and ``options.overwrite`` is off.
+    Warnings of the check become notes of the returned record, but not of ``import.json``. Raises
+    :class:`InputError` if the package is invalid, or if it exists and ``options.overwrite`` is off.
     """
     record: dict[str, Any] = {
         "approximations": list(findings.approximations),

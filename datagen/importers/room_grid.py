@@ -17,7 +17,7 @@ from datagen.formats.asset import Box, LightSlot
 from datagen.formats.base import vector3
 from datagen.foundation.rectangles import rectangles
 
-SQUARE_M = 0.025
+SQUARE_M = 0.025  # minimum side of the squares on which surfaces are rasterised
 MIN_CELL_M = 0.06
 DIGITS = 6  # significant digits of derived positions and edges
 _MAX_POINTS = 6_000_000  # maximum number of surface samples, which take about 100 MB
@@ -59,7 +59,10 @@ def _counted(counts: NDArray[np.int64]) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class RoomGrid:
-    """Grid of cubes of side ``cell_m`` from corner ``origin_m``; ``interior``: free and enclosed cubes."""
+    """Grid of cubes of side ``cell_m`` from corner ``origin_m``; ``floor_m``: height of the floor.
+
+    Masks (X, Y, Z): ``occupied`` cubes contain surface points, ``interior`` cubes are free and enclosed.
+    """
 
     origin_m: NDArray[np.float64]
     cell_m: float

@@ -45,7 +45,7 @@ _Surface = tuple[str, ConvertedMaterial, Mesh]  # part name, material, mesh in t
 _CREDIT = re.compile(r'"[^"\n]+" by (?P<author>[^\n]+)|Created by (?P<maker>[^\n]+)')
 _PAGE = re.compile(r"https?://(?:www\.)?blendswap\.com/blends?/(?:view/)?\d+")
 _CATEGORIES = {"vehicles": "vehicle", "lights": "lamp", "doors and windows": "door", "staircases": "stairs"}
-"""Object category by catalogue category; other catalogue categories (kitchen, office) are names of rooms."""
+"""Object category by catalogue category; the others (kitchen, office) are rooms and imply none."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def _steps(catalogue: Catalogue, folder: Path, options: ImportOptions) -> Iterat
 def _kept(path: Path, origin: str, options: ImportOptions) -> ImportedAsset:
     """Return the record of a piece's package from an earlier run.
 
-    Raises :class:`InputError` if the package is of another source than ``origin``.
+    Raises :class:`InputError` if its source is not ``origin``.
     """
     with open_package(path) as package:
         source = package.asset.provenance
@@ -237,7 +237,7 @@ class _PieceImport(ImportJob):
     def _surfaces(
         self, model: ObjModel, phongs: dict[str, PhongMaterial], converter: PhongConverter
     ) -> list[_Surface]:
-        """Return name, material and mesh of each part, centred in x and y and standing on z = 0."""
+        """Return name, material and mesh of each part, with the object centred in x and y and on z = 0."""
         matrix = self._asset_from_model(model)
         pieces: list[_Surface] = []
         panes: list[_Surface] = []
@@ -273,7 +273,7 @@ class _PieceImport(ImportJob):
         return [(name, material, mesh.transformed(shift)) for name, material, mesh in pieces]
 
     def _asset_from_model(self, model: ObjModel) -> NDArray[np.float64]:
-        """Return the (4, 4) transform to the catalogue's rotation and size, and to Z up."""
+        """Return the (4, 4) transform to the catalogue's rotation and size, from Y up to Z up."""
         piece = self.piece
         rotation = np.eye(3) if piece.rotation is None else piece.rotation
         points = np.concatenate([s.mesh.positions for s in model.surfaces]).astype(np.float64) @ rotation.T

@@ -49,7 +49,7 @@ class PhongChannels:
 
 @dataclass
 class ConvertedMaterial:
-    """A converted material; ``treatment`` of its surface: ``pane`` removes it if it is flat."""
+    """A converted material; ``treatment`` of its surface: ``remove``; ``pane``: remove it if flat."""
 
     slot: str
     material: SlotMaterial
@@ -154,7 +154,7 @@ class PhongConverter:
         return (guess,)
 
     def _image(self, slot: str, statement: str | None) -> ImageSource | None:
-        """Return the image named by a map statement, or None; its options and folders are ignored."""
+        """Return the image that a map statement names, or None; options and folders in it are ignored."""
         if not statement:
             return None
         name = _file_name(statement)

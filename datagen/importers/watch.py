@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from datagen.importers.sweet_home import Step
 
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
-_NAMED, _LINES = 3, 6
+_NAMED, _LINES = 3, 6  # maximum numbers of names per line, and of lines per kind of remark
 
 
 class ImportWatch:
-    """Context that shows a progress bar of the sources, on a terminal, and of each catalogue.
+    """Context manager that shows progress bars: one of the sources, if on a terminal, and one per catalogue.
 
-    At the end or after an error, it prints summaries of the assets and of the catalogues.
+    On exit, also after an error, it prints summaries of the assets and of the catalogues.
     """
 
     def __init__(self) -> None:
@@ -101,7 +101,7 @@ class ImportWatch:
 
 
 def summary_lines(asset: ImportedAsset) -> list[str]:
-    """Return the lines of a terminal summary of an imported asset; ``import.json`` has all but warnings."""
+    """Return the lines of a summary; ``import.json`` lists all remarks except warnings of the check."""
     lines = [f"{asset.kind} {asset.asset_id} ({asset.license}): {asset.contents}; {asset.path}"]
     for label, sentences in (("approximated", asset.approximations), ("note", asset.notes)):
         grouped = group_sentences(sentences)
@@ -115,7 +115,7 @@ def summary_lines(asset: ImportedAsset) -> list[str]:
 
 
 def group_sentences(sentences: Sequence[str]) -> list[str]:
-    """Merge sentences ``name: text`` whose texts differ only in numbers; the most frequent are first.
+    """Merge sentences ``name: text`` whose texts differ only in numbers, and sort them by frequency.
 
     If numbers differ, those of the first sentence are shown, with a remark.
     """
