@@ -3,11 +3,11 @@
 
 Near light, such as light through a window pane, is binned by direction and by the position at which a ray
 leaves the room's bounding box (:data:`NEAR`). Far light, such as the sky, depends only on direction and has
-finer bins (:data:`FAR`). Half of the views predict the background pixels of the other half, once by direction
-and once by position; light counts as near unless direction predicts clearly better (:data:`FAR_GAIN`). A
-bin's radiance is the median of its pixels, in :data:`FAR` their mean. An empty bin gets the radiance of the
-nearest filled one, where the box's diagonal counts as :data:`PLACE_WEIGHT` radians. It is photographed at
-distances up to the layout's ``photographed_reach``, estimated up to :data:`REACH`, and unknown beyond.
+finer bins (:data:`FAR`). To choose, background pixels of half of the views are predicted from the rest, once
+by direction and once by position; light counts as near unless direction predicts clearly better. A bin's
+radiance is the median of its pixels, in :data:`FAR` their mean. An empty bin gets that of the nearest filled
+one, where the box's diagonal counts as :data:`PLACE_WEIGHT` radians: as photographed up to the layout's
+``photographed_reach``, as estimated up to :data:`REACH`; beyond, its radiance is unknown.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from mitsuba_plugins.arrays import point_argument
 from mitsuba_plugins.cells import cell_of
 
 REACH = 2.0
-"""Distance up to which a bin has the radiance of the nearest filled one; light of unknown bins would count as
-the mean of all other light."""
+"""Distance up to which an empty bin gets the radiance of the nearest filled one. Light from unknown bins is
+later assumed to equal the mean of known light."""
 MIN_PIXELS = 3
 """Minimum number of pixels in a filled bin."""
 PLACE_WEIGHT = 2.25
 FAR_GAIN = 0.8
-"""Light counts as far if the error by direction is below this share of the error by position."""
+"""Light counts as far if direction predicts with less than this share of the error that position has."""
 JUDGED_PLACES = 24
 """Number of squares along each side of a box face in :func:`is_far`."""
 _MIN_GAIN = 1e-3  # in ln radiance; without it, rounding errors could decide
@@ -59,7 +59,7 @@ class Layout:
 
     @property
     def is_far(self) -> bool:
-        """Whether bins depend only on direction."""
+        """True if bins depend only on direction."""
         return self.faces == 1
 
     @property
@@ -129,7 +129,7 @@ class Background:
         if self.layout.is_far:
             return index
         places = self.layout.places
-        # opaque, as literals would be compiled into kernels of their own for each room
+        # opaque, since literals would cause a separate kernel for each room
         low, high = point_argument(self.low), point_argument(self.high)
         places_per_m = point_argument(places / (self.high - self.low))
         distance, axis = mi.Float(dr.inf), mi.UInt32(0)
@@ -191,8 +191,8 @@ def outside_pixels(views: Sequence[TracedView]) -> OutsidePixels:
 
 
 def is_far(pixels: OutsidePixels, low: NDArray, high: NDArray) -> bool:
-    """Whether the background is far enough to depend on direction only: binned by direction, pixels predict
-    those of other views clearly better than binned by position on the box from ``low`` to ``high`` (3,).
+    """Return whether pixels binned by direction predict those of other views clearly better than pixels
+    binned by position on the box with corners ``low`` and ``high`` (3,), as with a distant background.
     """
     if not len(pixels.view):
         return False

@@ -99,7 +99,7 @@ class Baker:
         self.field = field
         self.size_m = size_m
         self.start_m = _START * size_m
-        self._offset = dr.opaque(mi.Float, self.start_m)  # a literal would need kernels of its own
+        self._offset = dr.opaque(mi.Float, self.start_m)  # a literal would cause a separate kernel
         self._sampler = EmitterSampler(field.emitters)
         rectangles = bright_rectangles(field.cells)
         self.guide = BrightGuide(rectangles) if rectangles else None
@@ -206,7 +206,7 @@ class Baker:
         origin = end.position + end.normal * self._offset
 
         def mirrored(wo: Any, half: Any, radiance: Any, pdf: Any, others: Any) -> Any:
-            """Light reflected from ``wo``, sampled with the density ``pdf`` of the lobe and ``others``."""
+            """Light from ``wo`` that the lobe reflects, with MIS weight ``pdf`` / (``pdf`` + ``others``)."""
             albedo = s + (1.0 - s) * schlick_weight(dr.dot(wi, half))
             return radiance * albedo * smith_g1(wo, alpha) * (pdf / dr.maximum(pdf + others, 1e-20))
 
@@ -294,7 +294,7 @@ class Baker:
 
     @property
     def samples_emitters(self) -> bool:
-        """Whether there are emitters to sample."""
+        """True if there are emitters to sample."""
         return not self._sampler.is_empty
 
 
@@ -340,7 +340,7 @@ def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> MetalSample
 
 
 def _light_sample(lane: Any, index: Any, seed: Any, steps: tuple[float, float, float]) -> tuple[Any, Any]:
-    """Return the arguments ``sample_1`` and ``sample_2`` of a sampling method, with one of ``steps`` each."""
+    """Return the arguments ``sample_1`` and ``sample_2`` of a sampling method from a lattice of ``steps``."""
     import mitsuba as mi
 
     a, b = mi.sample_tea_32(lane, seed + 15485863)

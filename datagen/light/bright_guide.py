@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Detection of small bright surfaces, lamps not marked in the geometry and sunlit spots, and sampling of
+"""Detection of small bright surfaces (lamps not marked in the geometry, sunlit spots), and sampling of
 directions towards rectangles around them.
 
 Rays sampled from a lobe seldom hit a lamp of a few cells, which may emit most of a room's light. So each
-cluster of adjacent bright cells of one side is enclosed in a rectangle perpendicular to the side's axis. A
-rectangle is chosen with probability proportional to its estimated light at the point. A sampled ray returns
-the radiance of the surface that it hits, so rectangles affect only the noise. The balance heuristic combines
-such rays with those of other techniques.
+cluster of adjacent bright cells whose normals share a signed axis is enclosed in a rectangle perpendicular to
+it. A rectangle is chosen with probability proportional to its estimated light at the point. A sampled ray
+returns the radiance of the surface that it hits, so rectangles affect only the noise. The balance heuristic
+combines these rays with those of other techniques.
 """
 
 from __future__ import annotations
@@ -29,9 +29,8 @@ _MIN_FACING = 0.05  # minimum cosine at a rectangle, also for points not in fron
 BRIGHT = 10.0
 """Minimum luminance of a bright cell, relative to the median of all cells."""
 MIN_VARIANCE, MAX_RECTANGLES = 1.0, 4
-"""Minimum relative variance that a sampled cluster adds to the estimate from a single ray, and maximum number
-of clusters. A cluster with share s of the power and share a of the area adds the variance s^2 (1 / a - 1).
-"""
+"""Minimum relative variance that a cluster with a rectangle causes in estimates from one ray, s^2 (1 / a - 1)
+with its share s of the power and share a of the area, and maximum number of rectangles."""
 
 
 @dataclass(frozen=True)

@@ -88,8 +88,8 @@ def _outer_grid(grid: CellGrid) -> CellGrid:
 
 
 def outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance: NDArray) -> Cells | None:
-    """Larger cells in and around ``grid``, with the estimated ``radiance`` (N, 3) of each one's first point;
-    None if they contain no point.
+    """Larger cells in and around ``grid`` at points (N, 3) with normals (N, 3), each with the estimated
+    ``radiance`` (N, 3) of its first point; None if they contain no point.
     """
     outer = _outer_grid(grid)
     keys, first = np.unique(cell_keys(outer, position_m, normal), return_index=True)

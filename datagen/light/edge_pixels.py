@@ -3,8 +3,8 @@
 
 Let x be the radiance of the surface at the centre of pixel p, a_p the share of the pixel that it covers, and
 b_p the radiance of everything else in the pixel times its share. The pixel has the radiance L = a_p x + b_p.
-Rays through the pixel estimate a_p and b_p: other surfaces have the radiance of their surfels, the outside
-that of nearby empty pixels. The result is
+Rays through the pixel estimate a_p and b_p: other surfaces have the radiance of their surfels, the background
+that of nearby pixels without a surface. The result is
 
     x_p = (L - b_p) / a_p,
 
@@ -44,17 +44,17 @@ BLOCK_CELLS = 20
 MIN_SHARE = 0.1
 """Lower bound of the divisor a_p."""
 WINDOW, MIN_SPREAD = 9, 0.01
-"""Side in pixels of the regression window for the radiance of the outside, and variance of the shares at
+"""Side in pixels of the regression window for the radiance of the background, and variance of the shares at
 which the regression and the nearest empty pixel have equal weight."""
 SAMPLED_EVERY = 7
 """Sampling interval of the edge pixels far from mixed surfels, which affect only the slope."""
 MIN_CONTRAST = 0.2
 """Minimum difference between X and the predicted L, relative to the larger one, of pixels used for the
 slope."""
-_TINY = 1e-30  # avoids 0 / 0 where nothing is behind, at any exposure
+_TINY = 1e-30  # avoids a division by 0 where no radiance is behind, at any exposure
 EXACT_SLOPE = 0.9
-"""Minimum median of exact meshes, by which medians are divided: in development rooms, they are 0.90 to 1.04
-with exact meshes and 0.25 to 0.84 with inaccurate ones."""
+"""Lowest median found with exact meshes, by which medians are divided. In the development rooms, medians are
+0.90 to 1.04 with exact meshes and 0.25 to 0.84 with inaccurate ones."""
 PRIOR_PIXELS = 1000
 """Number of pixels of sufficient contrast at which the measured slope and the prior, 1, have equal weight."""
 
@@ -126,8 +126,8 @@ def _shrunk(
     own: NDArray,
     variance: NDArray,
 ) -> NDArray[np.float64]:
-    """Shrink radiance ``own`` (K, 3) of pixels, with luminance ``variance`` (K,), towards the median of their
-    surfels ``owner`` (K,), which is shrunk towards that of a block of its smooth region; (K, 3), at least 0.
+    """Shrink radiance ``own`` (K, 3) of pixels, with luminance ``variance`` (K,), towards medians of surfels
+    ``owner`` (K,), which are shrunk towards medians of blocks of smooth regions; the result is at least 0.
     """
     side_m = BLOCK_CELLS * surfels.grid.cell_m
     cell = np.floor((surfels.position_m - surfels.grid.low) / side_m).astype(np.int64)
@@ -170,7 +170,7 @@ def _parts(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Shares a_p (K,) and radiances b_p (K, 3), see the module's docstring, of pixels with flat indices (K,).
 
-    Surfaces of unknown radiance count as the pixel's own.
+    Surfaces of unknown radiance count as the pixel's own surface.
     """
     from scipy.ndimage import maximum_filter
 
@@ -222,7 +222,7 @@ def _rays_through(
 
 
 def _outside(view: TracedView, pixel: NDArray[np.int64], share: NDArray) -> NDArray[np.float32] | None:
-    """Radiance (K, 3) of the outside at the pixels with flat indices (K,); None without empty pixels.
+    """Radiance (K, 3) of the background at the pixels with flat indices (K,); None without empty pixels.
 
     Radiance is regressed on ``share`` (H, W), the part of each pixel without surface, in a window around the
     pixel, and evaluated at share 1. Where shares hardly vary, the colour of the nearest empty pixel is used.

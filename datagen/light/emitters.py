@@ -67,9 +67,9 @@ def photographed_emitters(
 ) -> Emitters:
     """Emitters of the triangles in the mask ``emits`` (M,), one per smooth region of ``region_of_face`` (M,).
 
-    The radiance is the median of the pixels that show nothing else. Without :data:`MIN_PIXELS` of them, as
-    behind blinds, it is the median of radiance divided by covered share, as if the rest were black, over the
-    pixels with at least :data:`MIN_COVERED`. It is 0 if these are fewer than :data:`MIN_PIXELS`, too.
+    The radiance is the median over pixels that show nothing else. If these are fewer than :data:`MIN_PIXELS`,
+    as behind blinds, it is the median of radiance divided by covered share, as if the rest were black, over
+    pixels of which the emitter covers at least :data:`MIN_COVERED`; if these are too few, it is 0.
     """
     mesh = traced.mesh
     of_face = np.full(len(mesh.faces), -1, np.int32)

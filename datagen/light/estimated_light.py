@@ -84,10 +84,10 @@ def surface_groups(position_m: NDArray, normal: NDArray, surfels: Surfels) -> ND
 
 
 def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray, sunlight: NDArray) -> EstimateGains:
-    """Fit the gains of all groups.
+    """Fit the gains of the groups that contribute most; other gains are 1.
 
     ``region`` (N,) is the index of each surfel's smooth region, and ``sunlight`` (N, 3) the diffuse shading
-    by a sun that ``baker`` lacks.
+    by the sun, which is not part of the field of ``baker``.
     """
     step = max(1, len(surfels) // MAX_SURFELS)
     position, normal = surfels.position_m[::step], surfels.normal[::step]

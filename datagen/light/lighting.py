@@ -60,9 +60,9 @@ class GatherOptions:
 class Lit:
     """Surfels with their shading.
 
-    ``diffuse`` (N, 3): smoothed Ld = E / pi of all light; ``hidden`` (N,): share of the light attributed to
-    unphotographed lamps, in [0, 1]; ``sun``, None if not found, and its part ``sunlight`` (N, 3) of Ld, which
-    the irradiance lacks; ``seen``: the field of photographed radiance.
+    ``diffuse`` (N, 3): smoothed Ld = E / pi of all light; ``sunlight`` (N, 3): its part from ``sun`` (None if
+    not found), which ``irradiance`` excludes; ``hidden`` (N,): share of the light attributed to
+    unphotographed lamps, in [0, 1]; ``seen``: the field of photographed radiance, without estimates.
     """
 
     surfels: Surfels
@@ -98,9 +98,9 @@ def light_surfels(
     """Compute the surfels of the views and their incident light.
 
     ``emits`` (M,): mask of the emissive triangles; ``region_of_face`` (M,): smooth region of each triangle.
-    ``step`` returns a context manager for the stage of a given name. If any emitter is dark, ``unseen``
-    returns all emitters, given the light of the photographed ones. Raises :class:`InputError` if the views
-    show no extended surface.
+    ``step`` returns a context manager for the stage of a given name. If the radiance of an emitter is not
+    photographed, ``unseen`` returns all emitters, given the light of the photographed ones. Raises
+    :class:`InputError` if the views show no extended surface.
     """
     with step("surfels"):
         surfels = build_surfels(views)
@@ -240,12 +240,12 @@ def _found_sun(
 
 
 def clipped_surfels(views: Sequence[TracedView], surfels: Surfels) -> NDArray[np.bool_]:
-    """Mask (N,) of the surfels of whose pixels more than :data:`MAX_CLIPPED` are clipped in a channel."""
+    """Mask (N,) of the surfels with a share of clipped pixels above :data:`MAX_CLIPPED` in any channel."""
     return np.asarray((clipped_shares(views, surfels) > MAX_CLIPPED).any(axis=1))
 
 
 def smoothed(surfels: Surfels, values: NDArray, neighbours: int) -> NDArray[np.float32]:
-    """Means (N, K) of ``values`` (N, K) over the nearest ``neighbours`` with similar normals.
+    """Means (N, K) of ``values`` (N, K) over the nearest ``neighbours`` surfels with similar normals.
 
     Weights are Gaussian, with a standard deviation of 1.5 cells.
     """

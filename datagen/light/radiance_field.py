@@ -124,7 +124,7 @@ class RadianceField:
             self._metal_roughness = _float(metals.roughness)
 
     def _upload(self, cells: Cells) -> tuple[Any, ...]:
-        # opaque, as literals would be compiled into kernels of their own for each room
+        # opaque, since literals would cause a separate kernel for each room
         import drjit as dr
         import mitsuba as mi
 
@@ -255,7 +255,7 @@ class RadianceField:
         return self._changed(cells=cells, outer=outer)
 
     def with_radiance(self, surfels: Surfels, radiance: NDArray) -> RadianceField:
-        """Return a field in which ``surfels`` have ``radiance`` (N, 3) instead of their photographed one."""
+        """Return a field in which ``surfels`` have ``radiance`` (N, 3) instead of the photographed one."""
         rows = np.concatenate([radiance, self.cells.radiance[len(surfels) :]]).astype(np.float32)
         return self._changed(cells=replace(self.cells, radiance=rows))
 

@@ -26,8 +26,8 @@ Floats = NDArray[np.float64]
 ANGULAR_DIAMETER_RAD = 0.0093
 """Angular diameter of the sun's disk."""
 MIN_SURFELS, MIN_SUNLIT = 60, 20
-"""Minimum numbers of surfels of a smooth region that is searched, and of sunlit and of other surfels of one
-that determines the sun's irradiance."""
+"""Minimum number of surfels in a smooth region that is used in the search, and minimum numbers of sunlit and
+of shadowed surfels in one that is used for the sun's irradiance."""
 COARSE_SURFELS, NUM_DIRECTIONS = 10_000, 3000
 """Approximate number of surfels of the coarse search, and number of its directions above the horizon."""
 REFINEMENTS, REFINED_DIRECTIONS = 6, 24
@@ -35,15 +35,15 @@ REFINEMENTS, REFINED_DIRECTIONS = 6, 24
 MIN_COSINE = 0.1
 """Minimum cosine between the sun and the normal of a sunlit surfel."""
 MAX_LOG_RATIO = 1.5
-"""Bound on ln reflectance relative to the region, which lamps and highlights exceed."""
+"""Bound on |ln reflectance| relative to the region's median, which lamps and highlights exceed."""
 MIN_CORRELATION, MIN_BRIGHT, MIN_ABOVE_WHITE = 0.3, 0.6, 0.3
 """Minimum correlation between the sun's visibility and ln reflectance, and minimum shares of sunlit surfels
-that are brighter than the mean of sunlit and other surfels, and brighter than white surfaces in shadow."""
+brighter than midway between the means of sunlit and other surfels, and brighter than white ones in shadow."""
 LOCAL_SURFELS, NEAREST_SHARE = 16, 0.5
-"""Number of nearest surfels in shadow whose median reflectance is that of a sunlit surfel, and share of a
-region's sunlit surfels, the nearest to shadow, that determine the sun's irradiance."""
+"""Number of nearest shadowed surfels whose median reflectance is assumed for a sunlit one, and share of a
+region's sunlit surfels, those nearest to shadow, used for the sun's irradiance."""
 MIN_REFLECTANCE = 0.02
-"""Minimum reflectance of a region that determines the sun's irradiance."""
+"""Minimum reflectance of a region that is used for the sun's irradiance."""
 DISK_SAMPLES = 16
 """Number of directions to the sun's disk by which its visible share is computed."""
 _BATCH = 1_000_000  # rays
@@ -51,8 +51,8 @@ _BATCH = 1_000_000  # rays
 
 @dataclass(frozen=True)
 class Sun:
-    """The sun: unit ``direction`` (3,) to it, and the diffuse shading E / pi ``radiance`` (3,) of a surface
-    that faces it, in the photographs' unit.
+    """The sun: ``direction`` (3,), a unit vector to it, and ``radiance`` (3,), the diffuse shading E / pi of a
+    surface that faces it, in the photographs' unit.
     """
 
     direction: Floats
@@ -165,7 +165,7 @@ def _log_ratio(surfaces: LitSurfaces) -> Floats:
 
 def _correlations(seen: NDArray[np.bool_], value: Floats, region: NDArray) -> Floats:
     """Compute the correlation (D,) within regions between ``value`` (N,) and the mask ``seen`` (D, N) of the
-    surfels from which a direction is visible; 0 if these are none or all.
+    surfels from which a direction is visible; 0 if it is visible from none or all of each region.
     """
     of_region = np.unique(region, return_inverse=True)[1]
     count = np.bincount(of_region).astype(np.float64)
@@ -177,10 +177,10 @@ def _correlations(seen: NDArray[np.bool_], value: Floats, region: NDArray) -> Fl
 
 
 def _facing_radiance(surfaces: LitSurfaces, rays: ShadowRays, direction: Floats) -> Floats | None:
-    """Compute the diffuse shading (3,) of a surface that faces the sun: the median over regions of the median
-    over their sunlit surfels near shadow; None if none has enough.
+    """Compute the diffuse shading (3,) of a surface that faces the sun; None if no region has enough surfels.
 
-    Clipped surfels count as infinitely bright; without them, the median would be too low.
+    It is the weighted median over regions of the median over sunlit surfels near shadow. Clipped surfels
+    count as infinitely bright; without them, the median would be too low.
     """
     seen = rays.disk_share(direction, surfaces.position_m, surfaces.normal)
     found, weight = [], []

@@ -34,7 +34,7 @@ between which no edge is detected since they are coplanar."""
 NUM_SIDES = 6
 EDGE_WEIGHT = 0.02
 """Weight of a pixel that is clipped or at a crease or depth edge, where surfaces mix; others weigh 1."""
-_MAX_EXTENT = 1.25  # of the grid, relative to the central 98 % of the pixels; pixels beyond are ignored
+_MAX_EXTENT = 1.25  # size of the grid relative to the central 98 % of the pixels; those outside are ignored
 
 
 @dataclass(frozen=True)
@@ -406,7 +406,7 @@ def grouped_medians(values: NDArray, weight: NDArray, group: NDArray, num: int) 
 def near_surfels(surfels: Surfels, num: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Distances, in cells, and indices of the nearest surfels with similar normals, (N, min(num, N)) each.
 
-    The first neighbour is the surfel itself.
+    A difference of 1 between unit normals counts as 3 cells. The first neighbour is the surfel itself.
     """
     cell = surfels.grid.cell_m
     tree = cKDTree(np.concatenate([surfels.position_m, surfels.normal * (3 * cell)], axis=1))
