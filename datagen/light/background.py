@@ -6,8 +6,8 @@ leaves the room's bounding box (:data:`NEAR`). Far light, such as the sky, depen
 finer bins (:data:`FAR`). To choose, background pixels of half of the views are predicted from the rest, once
 by direction and once by position; light counts as near unless direction predicts clearly better. A bin's
 radiance is the median of its pixels, in :data:`FAR` their mean. An empty bin gets that of the nearest filled
-one, where the box's diagonal counts as :data:`PLACE_WEIGHT` radians: as photographed up to the layout's
-``photographed_reach``, as estimated up to :data:`REACH`; beyond, its radiance is unknown.
+one. It counts as photographed up to a distance of the layout's ``photographed_reach``, as estimated up to
+:data:`REACH`, else as unknown; in distances, the box's diagonal counts as :data:`PLACE_WEIGHT` radians.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MIN_PIXELS = 3
 """Minimum number of pixels in a filled bin."""
 PLACE_WEIGHT = 2.25
 FAR_GAIN = 0.8
-"""Light counts as far if direction predicts with less than this share of the error that position has."""
+"""Light counts as far if the error of prediction by direction is below this share of that by position."""
 JUDGED_PLACES = 24
 """Number of squares along each side of a box face in :func:`is_far`."""
 _MIN_GAIN = 1e-3  # in ln radiance; without it, rounding errors could decide
@@ -191,8 +191,8 @@ def outside_pixels(views: Sequence[TracedView]) -> OutsidePixels:
 
 
 def is_far(pixels: OutsidePixels, low: NDArray, high: NDArray) -> bool:
-    """Return whether pixels binned by direction predict those of other views clearly better than pixels
-    binned by position on the box with corners ``low`` and ``high`` (3,), as with a distant background.
+    """Return whether the background depends only on direction, so that bins by direction predict the pixels
+    of other views clearly better than bins by position on the box with corners ``low`` and ``high`` (3,).
     """
     if not len(pixels.view):
         return False

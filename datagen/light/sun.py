@@ -38,7 +38,7 @@ MAX_LOG_RATIO = 1.5
 """Bound on |ln reflectance| relative to the region's median, which lamps and highlights exceed."""
 MIN_CORRELATION, MIN_BRIGHT, MIN_ABOVE_WHITE = 0.3, 0.6, 0.3
 """Minimum correlation between the sun's visibility and ln reflectance, and minimum shares of sunlit surfels
-brighter than midway between the means of sunlit and other surfels, and brighter than white ones in shadow."""
+brighter than midway between the means of sunlit and other surfels, and brighter than white without sun."""
 LOCAL_SURFELS, NEAREST_SHARE = 16, 0.5
 """Number of nearest shadowed surfels whose median reflectance is assumed for a sunlit one, and share of a
 region's sunlit surfels, those nearest to shadow, used for the sun's irradiance."""
@@ -51,8 +51,8 @@ _BATCH = 1_000_000  # rays
 
 @dataclass(frozen=True)
 class Sun:
-    """The sun: ``direction`` (3,), a unit vector to it, and ``radiance`` (3,), the diffuse shading E / pi of a
-    surface that faces it, in the photographs' unit.
+    """The sun: ``direction`` (3,), a unit vector to it, and ``radiance`` (3,), the diffuse shading E / pi of
+    a surface that faces it, in the photographs' unit.
     """
 
     direction: Floats

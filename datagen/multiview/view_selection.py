@@ -40,7 +40,7 @@ def select_views(
 ) -> Selection:
     """Select the ``num_best`` views of least cost among those in which each point is visible (*traced*).
 
-    ``own``: index of the view whose pixels define the points, which is always a candidate if ``include_own``,
+    ``own``: index of the view whose pixels define the points; it is always a candidate if ``include_own``,
     else never. No view is chosen for points that are not ``active``.
     """
     import drjit as dr

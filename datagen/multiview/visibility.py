@@ -11,10 +11,10 @@ it. Occlusion is tested in one of two ways:
   camera space, a step of one pixel changes the depth of p's tangent plane by
   z' = z (|n'_x| / f_x + |n'_y| / f_y) / |n' . (x/z, y/z, 1)|, and p counts as visible if
   |z_buffer - z| <= tolerance * z + min(slope_tolerance_px * z', slope_limit * z).
-  The test is two-sided: if the buffer's depth is far *beyond* p, the pixel's centre misses p's surface, and
+  The test is two-sided: if the buffer's depth is far *beyond* p, the pixel's centre misses p's surface, so
   the pixel's colour is not that of p.
-- ``trace`` casts a shadow ray in the scene's geometry from the camera, which ends a relative distance
-  ``trace_tolerance / max(n . omega_i, 0.05)`` before p.
+- ``trace`` casts a shadow ray from the camera into the scene's geometry; it ends before p by the share
+  ``trace_tolerance / max(n . omega_i, 0.05)`` of the distance.
 
 Functions marked *traced* take and return Dr.Jit arrays and may be called inside a kernel; the view index is
 an array, never a literal, so one compiled kernel serves any number of views. The pixels of all views are

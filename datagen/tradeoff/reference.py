@@ -2,8 +2,8 @@
 """References for the tradeoff: converged views of a configuration, rendered once and stored.
 
 For each view, a reference contains two independent images (whose noise hardly affects the expectation of
-errors, see ``datagen.rendering.error``), maps from many samples, and statistics over all views. These are
-computed from the denoised means of both images, with traced visibility and the maximum number of best views.
+errors, see ``datagen.rendering.error``), maps from many samples, and statistics over all views. The
+statistics use the denoised mean of both images, traced visibility and the maximum number of best views.
 The name of a reference is a hash of everything that affects it, so it is never reused for another library,
 configuration, resolution, sample count or renderer.
 """
@@ -33,7 +33,7 @@ from datagen.rendering.renderer import SceneRenderer
 
 SAMPLES_PER_CHUNK = 64
 MAX_SAMPLES = 65536
-"""Maximum number of samples of an image, and the distance of the seeds of both images."""
+"""Maximum number of samples of an image, and offset between the seeds of the two images."""
 MAX_DEPTH = 32
 RUSSIAN_ROULETTE_DEPTH = 8
 MAP_SAMPLES = 1024

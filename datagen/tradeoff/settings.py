@@ -28,8 +28,8 @@ DenoiserMode = Literal["none", "fast", "balanced", "high", "unguided", "optix"]
 class Setting:
     """Options for rendering, processing and storing a view.
 
-    ``quality``, if not '', determines samples, clamp, irradiance cache and auxiliary samples instead of their
-    fields. ``firefly_clamp`` 0 clamps nothing. ``irradiance_cache`` 1 ends paths in cached irradiance.
+    ``quality``, if not '', overrides the fields for samples, clamp, irradiance cache and auxiliary samples.
+    ``firefly_clamp`` 0 clamps nothing. ``irradiance_cache`` 1 ends paths in cached irradiance.
     ``texture_shrink`` is the side in texels of the squares that are averaged to one texel. ``image_scale``
     multiplies width and height; images are enlarged for comparison. ``storage`` ``float`` stores every
     channel in single precision.

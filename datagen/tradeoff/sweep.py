@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Runs a sweep of references and trials in worker processes, with all results on disk.
+"""Runs the trials of a sweep, each of one setting on one configuration, and renders references for them.
 
+All work is done in worker processes, and all results are stored on disk.
 ``OUT/references/KEY`` and ``OUT/trials/KEY-SETTING.json`` are finished results; an interrupted sweep
 continues from them, and other sweeps in the same folder reuse them.
 """
@@ -201,7 +202,7 @@ def read_trial(path: Path) -> Trial:
 
 @contextmanager
 def _worker() -> Iterator[ProcessPoolExecutor]:
-    """Yield a pool of one new process, which is limited to one variant. Raises RuntimeError if it dies."""
+    """Yield a pool of one new process, which can use only one variant. Raises RuntimeError if it dies."""
     pool = ProcessPoolExecutor(1, get_context("spawn"), _start_worker)
     try:
         yield pool

@@ -3,8 +3,8 @@
 
 Stages run one after the other so that their seconds can be measured separately; in production they overlap,
 and a view takes about their processor seconds divided by the number of cores. The first view is rendered
-twice, which excludes compilation times. Seconds are medians over views, plus a view's share of the time to
-prepare the scene.
+twice, which excludes compilation times. Seconds are medians over views, plus a view's share of the seconds to
+prepare sky guide and irradiance cache (stage ``learn``).
 
 * ``rel_mse``: mean over views of the exposed relMSE of the stored beauty (``datagen.rendering.error``);
 * ``maps_error``: mean absolute error of D, S, R and the normal, over surface pixels;
@@ -100,7 +100,7 @@ def measure(configuration: Configuration, library: Library, reference: Reference
     renderer = SceneRenderer(at_size, library, setting.recipe(), caches, _denoiser(setting))
     build_cpu_s = time.process_time() - start
     preparing, watch = Stopwatch(), Stopwatch()
-    with preparing.stage("learn"):  # repeated with compiled kernels
+    with preparing.stage("learn"):  # repeated, without compilation
         renderer.prepare_paths()
     renderer.render_view(0)
     rendered = []
@@ -160,7 +160,7 @@ def _gather(
     scene: Any,
     watch: Stopwatch,
 ) -> Iterator[dict[str, NDArray]]:
-    """Yield the statistics of each view by buffer name, and time them after a first run that compiles."""
+    """Yield the statistics of each view by buffer name; a first, untimed run compiles the kernels."""
     views = [
         StatisticsView.from_buffers(camera.camera(), buffers, camera.name)
         for camera, buffers in zip(configuration.cameras, stored, strict=True)
