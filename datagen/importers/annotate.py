@@ -139,7 +139,7 @@ def is_window_sized(opening: Opening | AreaLight, min_area_m2: float) -> bool:
 
 
 def openings_of(lights: tuple[Light, ...]) -> tuple[Opening, ...]:
-    """Return an opening at each vertical rectangular light over 0.4 m², usually at a window or door."""
+    """Return an opening at each vertical rectangular light over 0.4 m², usually a window or door."""
     found = []
     for light in lights:
         if isinstance(light, AreaLight) and light.shape == "rectangle" and is_window_sized(light, 0.4):

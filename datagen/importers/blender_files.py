@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Import of files that Blender reads (FBX, USD, .blend, glTF with Draco).
 
-Blender's module converts them to glTF in a separate process; the result is subject to the limits of any
-glTF file.
+Blender's module converts them to glTF in a separate process; the limits for glTF files apply to the result.
 """
 
 from __future__ import annotations

@@ -106,9 +106,7 @@ def _read_obj(path: Path, options: ImportOptions, findings: Findings, budget: Bu
 def _material_of(
     name: str, phong: PhongMaterial, path: Path, options: ImportOptions, findings: Findings, budget: Budget
 ) -> GlbMaterial:
-    """Convert an MTL material: R follows from the Phong exponent; mirrors (``illum`` 3) with black ``Kd`` and
-    non-black ``Ks`` become metals.
-    """
+    """Convert an MTL material; R follows from the Phong exponent; mirrors with black ``Kd`` become metals."""
     image: tuple[str, bytes] | None = None
     for keyword, text in phong.maps.items():
         if keyword != "map_kd":

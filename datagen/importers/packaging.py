@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Last step of every import, which writes, checks and records the package.
 
-``import.json`` in the package lists the approximations and notes of the import; the package's hash excludes
-it.
+``import.json`` in the package lists approximations and notes; the package's hash excludes it.
 """
 
 from __future__ import annotations

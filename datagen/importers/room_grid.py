@@ -118,7 +118,7 @@ class RoomGrid:
         return cls(origin, cell, occupied, interior, float(edge))
 
     def is_interior(self, points: NDArray) -> NDArray[np.bool_]:
-        """Return a mask (P,) of those ``points`` (P, 3) that are in the room's free space."""
+        """Return the mask (P,) of the ``points`` (P, 3) in the room's free space."""
         index = ((points - self.origin_m) / self.cell_m).astype(np.int64)
         valid = ((index >= 0) & (index < self.interior.shape)).all(axis=1)
         result = np.zeros(len(points), dtype=bool)

@@ -45,7 +45,7 @@ _Surface = tuple[str, ConvertedMaterial, Mesh]  # part name, material, mesh in t
 _CREDIT = re.compile(r'"[^"\n]+" by (?P<author>[^\n]+)|Created by (?P<maker>[^\n]+)')
 _PAGE = re.compile(r"https?://(?:www\.)?blendswap\.com/blends?/(?:view/)?\d+")
 _CATEGORIES = {"vehicles": "vehicle", "lights": "lamp", "doors and windows": "door", "staircases": "stairs"}
-"""Object category by catalogue category; the others (kitchen, office) are rooms and imply none."""
+"""Object category by catalogue category; other catalogue categories name rooms (kitchen, office)."""
 
 
 @dataclass(frozen=True)

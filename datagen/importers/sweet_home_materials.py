@@ -49,7 +49,7 @@ class PhongChannels:
 
 @dataclass
 class ConvertedMaterial:
-    """A converted material; ``treatment`` of its surface: ``remove``; ``pane``: remove it if flat."""
+    """A converted material; ``treatment`` ``remove`` removes its surface, ``pane`` removes it if flat."""
 
     slot: str
     material: SlotMaterial

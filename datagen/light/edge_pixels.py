@@ -102,7 +102,7 @@ def unmixed(
 def edge_slope(
     color: NDArray, share: NDArray, other: NDArray, known: NDArray, is_known: NDArray[np.bool_]
 ) -> float:
-    """Slope, in [0, 1], of the ``color`` (K, 3) of edge pixels against their prediction (module docstring).
+    """Slope, in [0, 1], of the ``color`` (K, 3) of edge pixels against their prediction; see the module.
 
     The prediction is ``share`` (K,) times the radiance ``known`` (K, 3) of the pixel's own surface, valid
     where ``is_known`` (K,), plus ``other`` (K, 3). Returns 1 if no pixel has sufficient contrast.

@@ -24,7 +24,7 @@ MIN_PIXELS = 4
 MAX_PIXELS = 5000
 """Approximate maximum number of pixels from which the radiance of an emitter is computed."""
 MIN_COVERED = 0.3
-"""Minimum share of a pixel that an emitter covers."""
+"""Minimum share that an emitter covers of a pixel from which its radiance is computed."""
 
 
 @dataclass(frozen=True)

@@ -161,8 +161,8 @@ def relight(
     diffuse: NDArray,
     options: GatherOptions,
 ) -> Lit:
-    """Compute the light of the surfels again, with more rays, mean outgoing radiance and reflections at
-    metals.
+    """Compute the light of the surfels again, with more rays, reflections at metals, and mean outgoing
+    instead of photographed radiance.
 
     Per surfel: ``specular_albedo`` (N, 3), ``roughness`` (N,), ``is_metal`` (N,), mean ``outgoing`` radiance
     (N, 3) and its ``diffuse`` part (N, 3).
@@ -204,8 +204,8 @@ def _estimated(
     """Estimate the radiance of unphotographed surfaces, the share of light from unphotographed lamps, and the
     sun.
 
-    The estimated radiance is the typical reflectance of the smooth region times the incident light times the
-    gain, which is fitted to the surfels with the ``diffuse`` part of their radiance.
+    The estimated radiance is the typical reflectance of the smooth region times the incident light times a
+    gain, which is fitted to the diffuse part of the radiance, stored in the surfels ``diffuse``.
     """
     no_sunlight = np.zeros((len(surfels), 3), np.float32)
     if not options.estimates_unseen:

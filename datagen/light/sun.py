@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Finds the sun of a photographed room from its patches of sunlight.
 
-Photographs rarely show the sun, so its light is missing in the radiance field. Sunlit surfels are brighter,
-relative to their incident light, than the rest of their smooth region, and rays towards the sun leave the
+Photographs rarely show the sun, so its light is missing in the radiance field. Sunlit surfels have a larger
+ratio of radiance to incident light than the rest of their smooth region, and rays towards the sun leave the
 mesh from exactly these surfels. The sun is the direction whose visibility correlates best with the logarithm
-of that ratio. Its irradiance follows from the median, over sunlit surfels, of their radiance divided by the
+of this ratio. Its irradiance follows from the median, over sunlit surfels, of their radiance divided by the
 reflectance of the nearest surfels in shadow, less other light.
 """
 
@@ -38,7 +38,7 @@ MAX_LOG_RATIO = 1.5
 """Bound on |ln reflectance| relative to the region's median, which lamps and highlights exceed."""
 MIN_CORRELATION, MIN_BRIGHT, MIN_ABOVE_WHITE = 0.3, 0.6, 0.3
 """Minimum correlation between the sun's visibility and ln reflectance, and minimum shares of sunlit surfels
-brighter than midway between the means of sunlit and other surfels, and brighter than white without sun."""
+brighter than midway between the means of sunlit and other surfels, and brighter than white in shadow."""
 LOCAL_SURFELS, NEAREST_SHARE = 16, 0.5
 """Number of nearest shadowed surfels whose median reflectance is assumed for a sunlit one, and share of a
 region's sunlit surfels, those nearest to shadow, used for the sun's irradiance."""
@@ -99,7 +99,7 @@ class ShadowRays:
 
 @dataclass(frozen=True)
 class LitSurfaces:
-    """N surfels: ``position_m``, ``normal``, ``radiance`` and diffuse shading without the sun ``diffuse``,
+    """N surfels: ``position_m``, ``normal``, ``radiance`` and ``diffuse``, the shading without the sun,
     (N, 3) each; smooth ``region`` (N,); ``is_clipped`` (N,): whether the radiance is a lower bound.
     """
 
@@ -154,7 +154,7 @@ def _best(directions: Floats, surfaces: LitSurfaces, value: Floats, rays: Shadow
 
 
 def _log_ratio(surfaces: LitSurfaces) -> Floats:
-    """Compute ln of reflectance (N,) relative to the median of the smooth region, bounded."""
+    """Compute ln of reflectance (N,) relative to the smooth region's median, within :data:`MAX_LOG_RATIO`."""
     reflected, arriving = luminance(surfaces.radiance), luminance(surfaces.diffuse)
     ratio = np.log(np.maximum(reflected, 1e-9) / np.maximum(arriving, 1e-9))
     order = np.lexsort((ratio, surfaces.region))

@@ -31,7 +31,7 @@ ESTIMATE_ROUNDS = 5
 """Number of rounds, each of which adds one bounce between unphotographed surfaces. The first assumes unknown
 light to be as bright as known light; from the fifth on, the mean radiance changes by less than 2 %."""
 EARLY_RAYS = 1 / 3
-"""Share of the rays in all rounds but the last, whose noise is averaged out by those of the next round."""
+"""Share of the rays used in all rounds but the last; the next round's rays average out the noise."""
 _REFLECTANCE_RANGE = (0.05, 0.9)  # lower and upper bound
 _MIN_KNOWN = 0.2  # lower bound of the known share of light, by which light is divided
 
@@ -69,7 +69,7 @@ class UnseenSurfaces:
 
 
 def unseen_surfaces(baker: Baker, surfels: Surfels, regions: Regions, num_rays: int) -> UnseenSurfaces:
-    """Estimate the radiance of surfaces that are unknown in the field of ``baker`` but visible to the
+    """Estimate the radiance of surfaces that are unknown in the field of ``baker`` but visible from
     surfels: the typical reflectance of their smooth region times their incident light, by ``num_rays`` rays
     per point in the last round.
     """
@@ -105,8 +105,8 @@ def typical_reflectance(
 ) -> NDArray[np.float64]:
     """Compute the typical reflectance pi L / E (R, 3) of R smooth regions.
 
-    It is the median over surfels, weighted by the photographed share of their light, shrunk towards that of
-    the object, and this towards that of the room; it is 0.4 if too little light is photographed.
+    It is the median over surfels, weighted by the photographed share of their light, shrunk towards the
+    object's median, itself shrunk towards the room's; it is 0.4 if too little light is photographed.
     """
     step = max(1, len(surfels) // MAX_RATIO_SURFELS)
     lit = baker.irradiance(surfels.position_m[::step], surfels.normal[::step], num_rays)

@@ -3,8 +3,8 @@
 
 Every field of :class:`Setting` affects time. The base point has the recipe's defaults and a fixed number of
 samples. A sweep varies one field, and the factorial combines four fields that interact: auxiliary buffers
-matter only to the denoiser, both affect the number of samples needed, and the irradiance cache makes samples
-cheaper and less noisy.
+are used only by the denoiser, which reduces the number of samples needed, and the irradiance cache makes
+samples cheaper and less noisy.
 """
 
 from __future__ import annotations

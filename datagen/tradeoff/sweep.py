@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Runs the trials of a sweep, each of one setting on one configuration, and renders references for them.
 
-All work is done in worker processes, and all results are stored on disk.
-``OUT/references/KEY`` and ``OUT/trials/KEY-SETTING.json`` are finished results; an interrupted sweep
-continues from them, and other sweeps in the same folder reuse them.
+Worker processes compute the results, stored as ``OUT/references/KEY`` and ``OUT/trials/KEY-SETTING.json``; an
+interrupted sweep continues from them, and other sweeps in the same folder reuse them.
 """
 
 from __future__ import annotations
