@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Reader of OBJ models, one mesh per material, and of their material libraries (.mtl).
 
-Polygons are triangulated and missing normals computed.
-
-In array shapes, C is the number of polygon corners, P of polygons and M of triangles. v points up in UVs.
+Polygons are triangulated and missing normals computed. In UVs, v points up. In array shapes, C is the number
+of polygon corners, P of polygons and M of triangles.
 """
 
 from __future__ import annotations

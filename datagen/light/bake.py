@@ -340,7 +340,7 @@ def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> MetalSample
 
 
 def _light_sample(lane: Any, index: Any, seed: Any, steps: tuple[float, float, float]) -> tuple[Any, Any]:
-    """Return the arguments ``sample_1`` and ``sample_2`` of a sampling method from a lattice of ``steps``."""
+    """Return the arguments ``sample_1`` and ``sample_2`` of a light sampler from a lattice with ``steps``."""
     import mitsuba as mi
 
     a, b = mi.sample_tea_32(lane, seed + 15485863)

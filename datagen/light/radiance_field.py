@@ -91,8 +91,7 @@ class End(NamedTuple):
 class RadianceField:
     """Radiance along rays in ``scene``, from ``cells`` of surfaces, ``emitters`` and ``background``.
 
-    ``cells`` may include estimates; ``outer`` are larger cells outside their grid. ``metals`` reflect rays
-    once.
+    ``cells`` may include estimates; ``outer``: larger cells outside their grid; ``metals`` reflect rays once.
     """
 
     def __init__(

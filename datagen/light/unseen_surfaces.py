@@ -25,8 +25,8 @@ MAX_ESTIMATED_SURFELS, ESTIMATE_RAYS_PER_SURFEL = 40_000, 16
 surfaces."""
 MAX_RATIO_SURFELS, RATIO_EVIDENCE, PRIOR_SURFELS = 16_000, (0.5, 0.9), 4.0
 """Approximate maximum number of surfels from which typical reflectances are computed, range of the
-photographed share of their light over which their weight increases from 0 to 1, and total weight at which the
-median of a region (object) and its prior, the median of the object (room), count equally."""
+photographed share of their light over which their weight increases from 0 to 1, and total weight at which a
+region's (or object's) median counts as much as its prior, the median of its object (or the room)."""
 ESTIMATE_ROUNDS = 5
 """Number of rounds, each of which adds one bounce between unphotographed surfaces. The first assumes unknown
 light to be as bright as known light; from the fifth on, the mean radiance changes by less than 2 %."""

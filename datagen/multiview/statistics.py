@@ -309,9 +309,7 @@ def _order_statistics(values: list[Any], count: mi.UInt32) -> tuple[Any, Any, An
 
 
 def sorting_network(size: int) -> NDArray[np.int64]:
-    """Index pairs (C, 2) to compare and exchange, in order, in Batcher's odd-even merge sort of ``size``
-    values.
-    """
+    """Index pairs (C, 2) to compare and exchange in turn, Batcher's odd-even merge sort of ``size`` keys."""
     pairs = [np.zeros((0, 2), np.int64)]
     run = 1
     while run < size:
