@@ -226,7 +226,7 @@ def photographed_background(
     """Estimate the background outside the box with corners ``low`` and ``high`` (3,) from ``views``.
 
     If ``layout`` is None, :func:`is_far` decides between :data:`NEAR` and :data:`FAR`. Bins are known up to
-    the distance ``reach`` from a photographed one.
+    the distance ``reach`` from a filled one.
     """
     pixels = outside_pixels(views)
     if layout is None:

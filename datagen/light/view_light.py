@@ -60,7 +60,7 @@ class ViewLight:
         """Return the :data:`~datagen.foundation.buffers.LIGHT_BUFFERS` (H, W, 3 or 1) of view ``index``.
 
         They are 0 without a surface. ``color_median`` (H, W, 3) is the median colour of each pixel's surface
-        point over all views.
+        point over its best views.
         """
         place = self._place[index]
         view, surfels = self._views[place], self._lit.surfels
