@@ -10,11 +10,11 @@ lambda of the smoothness term, is
 
     A y = S (c t),   A = lambda (diag(m) - diag(n) B diag(n)) + diag(S c),   filtered = S^T y.
 
-The 10 on B's diagonal cancels against m, so the smoothness term is stored as the remaining graph Laplacian:
-row i is the sum over neighbours j of n_i n_j (y_i - y_j). Computed from m and B in float32 it would have a
-rounding error of about lambda, which exceeds a small confidence.
+The 10 on B's diagonal cancels against m. The smoothness term is therefore stored as a graph Laplacian, whose
+row i is the sum over neighbours j of n_i n_j (y_i - y_j). If it were computed from m and B in float32, its
+rounding error of about lambda would exceed small confidences.
 
-Images of a batch share no cell, so A is block-diagonal and one solve serves all of them.
+Images of a batch share no cells, so A is block-diagonal, and one solve serves the whole batch.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ class SolverConfig(StrictModel):
     smoothness: float = Field(default=300.0, gt=0)
     """lambda: weight of the smoothness term."""
     tolerance: float = Field(default=1e-5, ge=0)
-    """Conjugate gradients stop once the residual is below this share of the right-hand side."""
+    """Conjugate gradients stop once the residual's norm is below this fraction of the right-hand side's."""
     max_iterations: int = Field(default=25, ge=1)
-    """Maximum number of iterations."""
+    """Maximum number of conjugate-gradient iterations."""
     num_bistochastize: int = Field(default=10, ge=1)
     """Number of bistochastization iterations, which compute the scale n of the blur."""
     diagonal_floor: float = Field(default=1e-5, gt=0)
-    """Minimum of the diagonal by which the preconditioner divides."""
+    """Minimum of A's diagonal, by which the Jacobi preconditioner divides."""
     confidence_floor: float = Field(default=1e-6, gt=0)
-    """Minimum confidence. A region of zero confidence without neighbours would make A singular; with the
-    minimum, the filter returns the region's mean."""
+    """Minimum confidence. An isolated region of zero confidence would make A singular; with the minimum, the
+    filter returns the region's mean."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class BilateralGrid:
 
 
 def guide_yuv(guide: Tensor) -> Tensor:
-    """Scale linear RGB (B, 3, H, W) to a maximum of 255 per image, and return luma and chromas (+128)."""
+    """Scale linear RGB (B, 3, H, W) to a maximum of 255 per image; return luma and chromas (offset 128)."""
     peak = guide.amax(dim=(1, 2, 3), keepdim=True).clamp_min(1e-6)  # a black guide would divide by 0
     matrix = torch.tensor(_YUV_FROM_RGB, dtype=guide.dtype, device=guide.device)
     yuv = torch.einsum("kc,bchw->bkhw", matrix, guide / peak * 255.0)
@@ -135,7 +135,7 @@ def build_grid(guide: Tensor, config: SolverConfig | None = None) -> BilateralGr
 
 
 def _cell_keys(guide: Tensor, config: SolverConfig) -> tuple[Tensor, list[int]]:
-    """Return each pixel's cell as an integer key (P,), and the key's strides by image, y, x and colour."""
+    """Return each pixel's cell as an integer key (P,), and the key's strides along image, y, x and colour."""
     batch, _, height, width = guide.shape
     yuv = guide_yuv(guide)
     sigmas = torch.tensor(
@@ -145,7 +145,7 @@ def _cell_keys(guide: Tensor, config: SolverConfig) -> tuple[Tensor, list[int]]:
     y = torch.floor(torch.arange(height, device=yuv.device) / config.sigma_xy).to(torch.int64)
     x = torch.floor(torch.arange(width, device=yuv.device) / config.sigma_xy).to(torch.int64)
     coordinates = [y.reshape(1, -1, 1), x.reshape(1, 1, -1), *color.unbind(dim=1)]
-    lows = [int(c.min()) - 1 for c in coordinates]  # with a margin of one cell, a neighbour never wraps
+    lows = [int(c.min()) - 1 for c in coordinates]  # a margin of one cell: neighbours never wrap
     sizes = [int(c.max()) + 2 - low for c, low in zip(coordinates, lows, strict=True)]
     key = torch.arange(batch, device=yuv.device).reshape(-1, 1, 1).expand(batch, height, width)
     for coordinate, low, size in zip(coordinates, lows, sizes, strict=True):
@@ -192,8 +192,8 @@ def _coupling(pairs: Tensor, n: Tensor) -> Tensor:
 def solve(
     grid: BilateralGrid, config: SolverConfig, weights: Tensor, rhs: Tensor, start: Tensor
 ) -> tuple[Tensor, float]:
-    """Solve the module's A y = ``rhs`` (V, C) for y (V, C) by preconditioned conjugate gradients; also return
-    the maximum residual relative to ``rhs``.
+    """Solve A y = ``rhs`` (V, C) for y (V, C) by preconditioned conjugate gradients; also return the maximum
+    residual relative to ``rhs``. Symbols: see the module.
 
     ``weights`` (V, C) is S c, the confidence summed by cell; ``start`` (V, C) is the initial y. Every (image,
     channel) is a separate system; converged systems are not updated while others continue.
@@ -263,8 +263,8 @@ def bilateral_solve(
     """Smooth ``target`` (B, C, H, W), weighted by ``confidence`` (B, C or 1, H, W) >= 0, within regions of
     the guide images of ``grid``.
 
-    Differentiable in target and confidence. The system is solved in float64, as it is too ill-conditioned for
-    float32 at small confidence. Raises ``ValueError`` if the target's size is not that of the guide.
+    Differentiable in target and confidence. The system is solved in float64, since at small confidence it is
+    too ill-conditioned for float32. Raises ``ValueError`` if target and guide differ in size.
     """
     config = config or SolverConfig()
     batch, channels, height, width = target.shape

@@ -3,8 +3,8 @@
 
 ``NAME.safetensors`` contains the tensors ``network.*`` (both tracks) and, once trained, ``confidence.*``; its
 header and ``NAME.json`` contain the same :class:`CheckpointCard`. Nothing is pickled. Reading builds the
-networks from the card on the meta device, compares every name and shape with the file, and only then
-allocates memory.
+networks from the card (custom ones on the CPU, others on the meta device) and compares every name and shape
+with the file before it reads values.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class CheckpointCard(StrictModel):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A loaded checkpoint: networks in eval mode; ``confidence`` is None if it was not trained."""
+    """A loaded checkpoint with its networks in eval mode; ``confidence`` is None if untrained."""
 
     network: MaterialNetwork | OwnNetwork
     confidence: ConfidenceNets | None
@@ -108,7 +108,7 @@ def save_checkpoint(
 
 
 def _stored(value: Tensor, dtype: torch.dtype) -> Tensor:
-    """Copy of a tensor as stored: safetensors refuses tensors that share memory, such as tied weights."""
+    """Copy a tensor for storage: safetensors refuses tensors that share memory, such as tied weights."""
     stored = value.detach().to("cpu", dtype, copy=True).contiguous()
     if dtype != torch.float32 and not bool(torch.isfinite(stored).all()):
         return _stored(value, torch.float32)

@@ -34,8 +34,8 @@ class _Block(nn.Sequential):
 class ConfidenceNet(nn.Module):
     """Network that estimates the confidence of a predicted map with ``map_channels`` channels.
 
-    The layers are two stride-2 downsamplings and a 3x3 convolution; upsampling, concatenation with the first
-    downsampling and a 3x3 convolution; upsampling and a last 3x3 convolution to one channel.
+    The layers are two 4x4 stride-2 convolutions and a 3x3 convolution; upsampling, concatenation with the
+    result of the first layer and a 3x3 convolution; upsampling and a last 3x3 convolution to one channel.
     """
 
     def __init__(self, map_channels: int):
@@ -60,7 +60,7 @@ class ConfidenceNet(nn.Module):
         x = self.up1(torch.cat([x, first], dim=1))
         x = F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
         confidence = 0.5 * (torch.tanh(self.last(x)[:, :, :height, :width]) + 1.0)
-        # avoids a division by 0 for an image whose confidence is 0 everywhere
+        # the minimum avoids a division by 0 for an image whose confidence is 0 everywhere
         return confidence / confidence.amax(dim=(1, 2, 3), keepdim=True).clamp_min(1e-6)
 
 

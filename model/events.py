@@ -27,7 +27,7 @@ from model.named_code import load_named
 class Event:
     """An event of training or inference.
 
-    The fields depend on ``kind``. ``scalars``: ``values`` are figures by name at training step ``step``;
+    The fields depend on ``kind``. ``scalars``: ``values`` are numbers by name at training step ``step``;
     ``name`` is ``train/PHASE``, ``validation/PHASE`` or ``speed/PHASE``. ``image``: ``image`` (H, W, 3) is
     uint8, with the title ``name``. ``progress``: ``step`` out of ``values["total"]`` steps of the inference
     stage ``name`` are done. ``end``: the run is finished and its result is in ``folder``.

@@ -5,8 +5,8 @@
 
 An epoch uses every view of a split once, except up to n - 1 views with n ranks. Its order is a pure function
 of (seed, epoch): each rank takes every n-th view, and each of its m loader processes every m-th of these. A
-sample is a dictionary: each buffer as float32 (C, H, W), ids as int64, ``intrinsics`` (3, 3) in pixels of the
-crop, ``world_from_camera`` (4, 4), the scalar ``exposure``, and the names ``configuration`` and ``view``.
+sample is a dictionary: each buffer (C, H, W) as float32, or int64 for ids, ``intrinsics`` (3, 3) in pixels of
+the crop, ``world_from_camera`` (4, 4), the scalar ``exposure``, and the names ``configuration`` and ``view``.
 Images are linear; the luminance of ``beauty`` times ``exposure`` has its 95th percentile at 0.9.
 """
 
@@ -37,11 +37,11 @@ class ViewStream(IterableDataset[dict[str, Any]]):
     """Stream of the views of dataset folders or shards (.tar), or of random square crops of them.
 
     ``split``: None for all views; shards passed individually are included whatever their split. ``crop_px``:
-    side of the ``crops_per_view`` crops of each view; None yields whole views, whose loader needs
+    side of the ``crops_per_view`` crops of each view; None yields whole views, which require a loader with
     ``batch_size`` 1 if their sizes differ. Crops are shuffled within groups of eight views. ``rank`` and
-    ``num_ranks`` come from ``torch.distributed`` if it is running; all ranks yield the same number of
-    samples, so the last few views of an epoch may be dropped. Raises :class:`InputError` for paths that are
-    not datasets, for fewer views than ranks and, during iteration, for a damaged view.
+    ``num_ranks`` default to those of ``torch.distributed`` if it is running; all ranks yield the same number
+    of samples, so the last few views of an epoch may be dropped. Raises :class:`InputError` for paths that
+    are not datasets, for fewer views than ranks and, during iteration, for a damaged view.
     """
 
     def __init__(
@@ -72,15 +72,15 @@ class ViewStream(IterableDataset[dict[str, Any]]):
             where = ", ".join(map(str, sources))
             got = f"{len(self.places)} views of split {split}"
             raise input_error(where, "views", got, f"at least one for each of {self.num_ranks} ranks")
-        # in shared memory, as persistent loader processes must read it
+        # in shared memory, since persistent loader processes must read later changes
         self._epoch = torch.zeros(1, dtype=torch.int64).share_memory_()
 
     def set_epoch(self, epoch: int) -> None:
-        """Set the epoch that determines order and crops of the next iteration, also in persistent loaders."""
+        """Set the epoch that determines order and crops of the next iteration, even in persistent loaders."""
         self._epoch[0] = epoch
 
     def __len__(self) -> int:
-        """Number of samples per epoch of this rank, over all its loader processes."""
+        """Number of samples per epoch of this rank, summed over its loader processes."""
         return len(self.places) // self.num_ranks * self.crops_per_view
 
     def __iter__(self) -> Iterator[dict[str, Any]]:

@@ -6,8 +6,8 @@ Axes: images are (B, C, H, W), row 0 at the top. Inputs are selected from buffer
 
 A level halves (encoder) or doubles (decoder) the resolution. Parallel to the convolutions, the global track
 updates a vector g with the spatial mean of every layer before its normalisation, and adds a linear map of g
-to the next layer. Padding would affect instance norms and means; with ``ignores_padding`` (the default:
-docs/decisions/0010) they are computed over the image without padding, and the padding is set to zero after
+to the next layer. Padding would affect instance norms and means; with ``ignores_padding`` (the default, see
+docs/decisions/0010), they are computed over the image without padding, and the padding is set to zero after
 every convolution, so its size does not affect the result.
 """
 
@@ -47,7 +47,8 @@ COLOR_STATISTICS = ("color_median", "color_max", "color_min")
 INPUTS = ("beauty", *COLOR_STATISTICS, "normal_camera", "depth", *LIGHT_BUFFERS)
 """Names of all possible inputs of a network."""
 MAX_REFLECTANCE = 2.0
-"""Reflectance that is encoded as 1. Gloss and lamps outside all views can raise reflectance above 1."""
+"""Value of the buffer ``reflectance`` that is encoded as 1. Recorded reflectance can exceed 1 at highlights
+and where lamps outside all views add irradiance that is not recorded."""
 
 
 class NetworkConfig(StrictModel):
@@ -58,18 +59,18 @@ class NetworkConfig(StrictModel):
     global_channels: int = Field(default=128, ge=1, le=4096)
     """Width of the global track."""
     wide_decoder: bool = False
-    """Give the decoder layers 8, 4, 2 times ``base_channels``, as the paper states, instead of 4, 2, 1."""
+    """Decoder layers have 8, 4, 2 times ``base_channels`` channels, as in the paper, instead of 4, 2, 1."""
     dropout: float = Field(default=0.5, ge=0.0, lt=1.0)
     """Dropout rate of the three inner decoder layers, off at inference."""
     ignores_padding: bool = True
     """Exclude the padding from instance norms, global means and convolutions."""
     uses_statistics: bool = True
-    """Use the reprojected colour statistics as input; False is the single-view ablation (*No RP*)."""
+    """Use the reprojected colour statistics as input; False: the paper's single-view ablation *No RP*."""
     light_inputs: tuple[LightInput, ...] = Field(default=(), exclude_if=lambda value: not value)
     """Buffers of recorded light that are inputs of both tracks; datasets contain them if their recipe has
     ``statistics: {light: true}``."""
     blends_reflectance: bool = Field(default=False, exclude_if=lambda value: not value)
-    """Blend the predicted D with ``reflectance``, by a share and a gain predicted per pixel: recorded
+    """Blend the predicted D with ``reflectance``, with a weight and a gain predicted per pixel: recorded
     reflectance has the texture's full resolution and, where the light is known, the right scale."""
     factory: str | None = Field(default=None, exclude_if=lambda value: value is None)
     """``package.module:Class`` of a custom network in place of the two tracks (model.own_network)."""
@@ -121,7 +122,7 @@ TRACK_OUTPUTS: dict[TrackName, dict[str, int]] = {
     "diffuse": {"diffuse_albedo": 3},
     "specular": {"specular_albedo": 3, "roughness": 1},
 }
-_BLEND_CHANNELS = (3, 1, 3)  # predicted D, share of the reflectance, gain of the reflectance
+_BLEND_CHANNELS = (3, 1, 3)  # predicted D, weight of the reflectance, gain of the reflectance
 _MAX_GAIN_STOPS = 2.0
 
 
@@ -134,7 +135,7 @@ def track_channels(track: TrackName, config: NetworkConfig) -> int:
 
 def blend_reflectance(outputs: Tensor, reflectance: Tensor) -> Tensor:
     """Return D (B, 3, H, W) in [0, 1], blended from recorded ``reflectance`` (B, 3, H, W) and the diffuse
-    track's ``outputs`` (B, 7, H, W) in [0, 1]: D (3), the reflectance's share (1) and gain (3).
+    track's ``outputs`` (B, 7, H, W) in [0, 1]: D (3), the reflectance's weight (1) and gain (3).
     """
     base, share, gain = outputs.split(_BLEND_CHANNELS, dim=1)
     scale = torch.exp2(_MAX_GAIN_STOPS * (2.0 * gain - 1.0))
@@ -151,7 +152,7 @@ def encode_color(linear: Tensor, exposure: Tensor | float) -> Tensor:
 def encode_depth(depth_z_m: Tensor, depth_max_m: Tensor | None = None) -> Tensor:
     """Encode depth (B, 1, H, W) in metres, 0 without a surface, as (B, 3, H, W): -1 at 0, 1 at the maximum.
 
-    ``depth_max_m`` (B,) is the maximum of the whole view; None uses the tensor's, which differs for a crop.
+    ``depth_max_m`` (B,) is the whole view's maximum; None uses the tensor's, which differs for a crop.
     """
     if depth_max_m is None:
         depth_max_m = depth_z_m.amax(dim=(1, 2, 3))
@@ -193,7 +194,7 @@ def assemble_inputs(
 
 
 def _zero_padding(x: Tensor, valid: tuple[int, int]) -> Tensor:
-    """Set x (B, C, H, W) to 0, as a convolution's padding, outside the top left ``valid`` (height, width)."""
+    """Set x (B, C, H, W) to 0 outside its top left ``valid`` (height, width), as zero padding would."""
     height, width = x.shape[-2:]
     if valid == (height, width):
         return x
@@ -255,7 +256,7 @@ class Layer(nn.Module):
 
     def modulate(self, x: Tensor, g: Tensor, valid: tuple[int, int]) -> tuple[Tensor, Tensor]:
         """Return the normalised x (B, C, H, W) plus a linear map of g, and the next layer's g. Mean and
-        variance are those of x's top left ``valid`` (height, width)."""
+        variance are taken over the top left ``valid`` (height, width) of x."""
         inside = x[:, :, : valid[0], : valid[1]]
         if inside.dtype != torch.float32 and inside.dtype != torch.float64:
             inside = inside.float()
@@ -283,7 +284,7 @@ class _Down(Layer):
 
 
 def _strip_rows(x: Tensor) -> int:
-    """Rows of x per strip of about ``STRIP_ELEMENTS`` upsampled values; all rows if x is at most as large."""
+    """Rows of x per strip of about ``STRIP_ELEMENTS`` upsampled values; all rows if x itself has no more."""
     count = x.numel()
     return x.shape[2] if count <= STRIP_ELEMENTS else max(1, x.shape[2] * STRIP_ELEMENTS // (4 * count))
 
@@ -323,7 +324,7 @@ class _Up(Layer):
 
     @staticmethod
     def _padded_convolution(layer: nn.Conv2d, x: Tensor) -> Tensor:
-        """Convolve x, padded by 1 before and 2 after; faster than with a padded copy of x."""
+        """Convolve x, padded by 1 before and 2 after, without a padded copy, which would be slower."""
         return F.conv2d(x, layer.weight, padding=2)[:, :, 1:, 1:]
 
 
@@ -416,7 +417,7 @@ class MaterialNetwork(nn.Module):
 
     @property
     def is_channels_last(self) -> bool:
-        """Whether the weights are in channels-last order."""
+        """True if the weights are in channels-last order."""
         weight = self.get_parameter("tracks.diffuse.enc2.conv.weight")
         return weight.is_contiguous(memory_format=torch.channels_last) and not weight.is_contiguous()
 

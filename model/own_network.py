@@ -114,7 +114,7 @@ def try_network(network: OwnNetwork) -> None:
 
 
 def _class_of(config: NetworkConfig) -> tuple[type[nn.Module], tuple[str, ...]]:
-    """Import the class that ``factory`` names, and return it with the names of its inputs.
+    """Import the class named by ``factory``; return it with the names of its inputs.
 
     Raises :class:`InputError` if it is not a ``torch.nn.Module`` or its ``inputs`` are invalid.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""JSON Schemas of suites and training settings, for completion in editors.
+"""JSON Schemas of evaluation suites and training settings, for completion in editors.
 
 ``python -m model.schemas`` writes them to ``docs/schemas``.
 """

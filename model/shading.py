@@ -62,7 +62,7 @@ def smith_g1_over_cos(cos_theta: Tensor, sin2_theta: Tensor, alpha: Tensor) -> T
     """Exact Smith G1 for Beckmann, divided by cos(theta) > 0; finite up to 90 degrees.
 
     G1 = 2 / (1 + erf(a) + exp(-a^2)/(a sqrt(pi))), a = cos/(alpha sin). The division by cos cancels the pole
-    of 1/a, so G1/cos tends to 2 sqrt(pi) / (alpha sin) instead of 0/0.
+    of 1/a, so that G1/cos tends to 2 sqrt(pi) / (alpha sin) at the horizon instead of 0/0.
     """
     sin_theta = torch.sqrt(sin2_theta.clamp_min(_TINY_SIN2))
     a = cos_theta / (alpha * sin_theta)
@@ -121,8 +121,8 @@ def shade_point_light(
 ) -> Tensor:
     """Reflected radiance (B, 3, ...) under an isotropic point light.
 
-    ``position`` (B, 3, ...) in metres; ``light_position`` and ``intensity`` broadcast against it, e.g.
-    (B, 3, 1, 1), the intensity in W/sr. Light falls off with the squared distance.
+    ``position`` (B, 3, ...) and ``light_position`` are in metres, ``intensity`` in W/sr. Both light arguments
+    broadcast against ``position``, e.g. (B, 3, 1, 1). Light falls off with the squared distance.
     """
     to_light = light_position - position
     distance2 = dot(to_light, to_light).clamp_min(1e-8)  # a light inside the surface would divide by 0
@@ -162,7 +162,7 @@ def sg_inner_product(sharpness1: Tensor, sharpness2: Tensor, axis_gap2: Tensor) 
 
 
 def sg_hemisphere_integral(sharpness: Tensor, cos_beta: Tensor) -> Tensor:
-    """Integral of a unit-amplitude spherical Gaussian over the hemisphere whose pole is at beta to its axis.
+    """Integral of a unit-amplitude spherical Gaussian over a hemisphere with its pole at beta to the axis.
 
     As in Meder and Bruederlin 2018, the integrals over the hemispheres around the axis and opposite to it are
     blended by a fitted sigmoid; expm1 avoids overflow.
@@ -205,9 +205,9 @@ def shade_spherical_gaussians(
 ) -> Tensor:
     """Reflected radiance (B, 3, ...) under distant area lights, after Wang et al. 2009.
 
-    Beckmann's distribution is approximated by a spherical Gaussian of light directions; the other factors are
-    evaluated at its axis. The error relative to the exact lobe is 1 % at alpha 0.1 and 50 % at alpha 1. Maps
-    and directions are (B, C, H, W) or (B, C).
+    Beckmann's distribution is approximated by a spherical Gaussian over light directions; the other factors
+    are evaluated at its axis. The error relative to the exact lobe is 1 % at alpha 0.1 and 50 % at alpha 1.
+    Maps and directions are (B, C, H, W) or (B, C).
     """
     alpha = alpha_from_roughness(roughness)
     cos_o = dot(normal, view_dir)
@@ -217,7 +217,7 @@ def shade_spherical_gaussians(
     visible = smith_g1_over_cos(cos_o, dot(tangent_o, tangent_o), alpha) ** 2 * (0.25 * cos_o)
     lobe_axis = 2.0 * cos_o * normal - view_dir
     lobe_sharpness = 0.5 / (alpha * alpha * cos_o.clamp_min(0.1))
-    # 1/(pi alpha^2) reaches 3e5; it is first multiplied by the inner product, which decreases equally fast
+    # 1/(pi alpha^2) reaches 3e5; multiplied first by the inner product, which decreases equally fast
     lobe_amplitude = 1.0 / (math.pi * alpha * alpha)
     trailing = (1,) * (normal.dim() - 2)
     specular = torch.zeros_like(diffuse_albedo)
