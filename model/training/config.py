@@ -75,11 +75,11 @@ class DataConfig(StrictModel):
     """Each crop's ``color_min`` is divided, and its ``color_max`` multiplied, by 2^u with independent u
     uniform from 0 to this value, since noise and errors of cameras and geometry can only widen this range."""
     light_jitter_stops: float = Field(default=0.0, ge=0, le=4)
-    """Each crop's reflectance and mirror images are multiplied by one 2^u, with u uniform between minus and
-    plus this value, since errors of geometry and exposure scale the recorded light."""
+    """Each crop's reflectance and mirror buffers are multiplied by the same 2^u, with u uniform between minus
+    and plus this value, since errors of geometry and exposure scale the recorded light."""
     noise: float = Field(default=0.0, ge=0, le=1)
-    """Maximum standard deviation of a crop's Gaussian noise in ``beauty``, at an exposed radiance of 1; it is
-    proportional to the square root of radiance, like photon noise."""
+    """Maximum standard deviation of a crop's Gaussian noise in ``beauty``, at an exposed radiance of 1. The
+    deviation is proportional to the square root of radiance, like photon noise."""
     light_color_stops: float = Field(default=0.0, ge=0, le=4)
     """Each crop's colour channels are permuted at random, and its radiance is multiplied by 2^u per channel,
     with u uniform between minus and plus this value: colour channels of light transport are independent, so
@@ -138,7 +138,7 @@ class TrainingConfig(StrictModel):
     validation: ValidationConfig = ValidationConfig()
     initial_checkpoint: Path | None = None
     """Start from the weights of this checkpoint. Its network must be the same, except that it may lack
-    ``light_inputs``, whose weights start at 0, and ``blends_reflectance``."""
+    ``light_inputs``, whose weights then start at 0, and ``blends_reflectance``."""
     checkpoint_every_steps: int = Field(default=500, ge=1)
     log_every_steps: int = Field(default=10, ge=1)
 

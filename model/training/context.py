@@ -29,7 +29,7 @@ _INIT_PURPOSE = 0x11
 class Ranks:
     """Number of ranks and this process's rank under ``torchrun``; a single rank without it.
 
-    ``device`` is that of training; None: this rank's GPU if there is one.
+    ``device``: device of training; None: this rank's GPU if there is one.
     """
 
     def __init__(self, device: torch.device | None = None) -> None:
@@ -72,8 +72,8 @@ class Models(nn.Module):
 class TrainingContext:
     """Objects shared by all phases of a run.
 
-    ``inherited`` are the datasets of ``initial_checkpoint``, ``shared`` the decoded views with
-    ``data.in_memory``.
+    ``inherited``: records of the datasets on which ``initial_checkpoint`` was trained; ``shared``: decoded
+    views, with ``data.in_memory`` only.
     """
 
     config: TrainingConfig
@@ -92,7 +92,7 @@ class TrainingContext:
         return CropOrder(len(self.data.train), data.crops_per_view, data.block_views, seed), seed
 
     def plan(self, index: int, start: int, stop: int | None = None) -> BatchPlan:
-        """Micro-batches of this rank in phase ``index``, from step ``start`` to ``stop`` (None: endless)."""
+        """Micro-batches of this rank in phase ``index``, for the steps [start, stop) (None: endless)."""
         config, ranks = self.config, self.ranks
         order, _ = self.order(index)
         return BatchPlan(order, config.batch_size, config.accumulation, ranks.index, ranks.count, start, stop)
@@ -136,7 +136,7 @@ def make_context(
 
 
 def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, ...]]:
-    """Return models with random weights or those of ``initial_checkpoint``, and records of its datasets."""
+    """Return models with random or an initial checkpoint's weights, and records of its datasets."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(generator_for(config.seed, _INIT_PURPOSE).initial_seed()))
         models = Models(config)

@@ -4,7 +4,7 @@
 The order is a pure function of the seed: an epoch shuffles all views, divides them into blocks of
 ``block_views``, and shuffles the crops within each block. A view's crops are thus close together, and a
 loader process that keeps the last block decodes each view once. A global batch is the next slice of that
-order; each rank takes its part of the slice. With any number of ranks and loader processes, a crop is
+order; each rank takes its part of the slice. For any number of ranks and loader processes, each crop is
 therefore used at most once per epoch, and training can resume at any batch.
 
 A sample is a dictionary of float32 tensors (C, S, S): ``beauty`` and the statistics (linear),
@@ -205,7 +205,7 @@ class BatchPlan(Sampler[list[int]]):
 
 
 class RecentViews:
-    """The last ``limit`` decoded views by number; None for invalid ones."""
+    """LRU cache of at most ``limit`` decoded views by index; None for invalid views."""
 
     def __init__(self, limit: int):
         self._limit = limit
@@ -225,11 +225,11 @@ class RecentViews:
 
 
 class SharedViews:
-    """All views by number, decoded into memory that loader processes share; None for invalid ones.
+    """Decoded views by index, in memory shared by the loader processes; None for invalid views.
 
-    Buffers ``names`` of ``places`` are of ``size_px`` (width, height), one tensor (N, H, W, C) each. Raises
-    :class:`InputError` if the shared memory is too small, since writing to it would end the process without a
-    message.
+    Each of the buffers ``names`` is one tensor (N, H, W, C) for all ``places``, with images of ``size_px``
+    (width, height). Raises :class:`InputError` if the shared memory is too small, since writing beyond it
+    would kill the process without a message.
     """
 
     _STORED, _INVALID = 1, 2
@@ -262,7 +262,7 @@ class SharedViews:
         return DecodedView(self._records[index], buffers, float(buffers["depth_z_m"].max(initial=0.0)))
 
     def __setitem__(self, index: int, view: DecodedView | None) -> None:
-        # processes that store a view at the same time write the same values
+        # races are harmless: processes that store the same view write the same values
         if view is not None:
             for name, values in self._buffers.items():
                 values[index].numpy()[...] = view.buffers[name]
@@ -270,15 +270,15 @@ class SharedViews:
 
 
 def _shared(shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
-    """Tensor of zeros in shared memory, of which only pages that are written take space."""
+    """Make a tensor of zeros in shared memory; only pages that are written to take space."""
     # Tensor.share_memory_ would write all pages
     storage = torch.UntypedStorage._new_shared(math.prod(shape) * dtype.itemsize)
     return torch.empty(0, dtype=dtype).set_(storage).reshape(shape)
 
 
 class CropDataset(Dataset[dict[str, Tensor]]):
-    """Crops by sample id (see :class:`BatchPlan`); decoded views are kept in ``views``, by default the last
-    ``block_views``."""
+    """Crops by sample id (see :class:`BatchPlan`). Decoded views are cached in ``views``, by default an LRU
+    cache of ``block_views``."""
 
     def __init__(
         self,
@@ -360,7 +360,7 @@ class CropDataset(Dataset[dict[str, Tensor]]):
 def view_sample(
     view: DecodedView, sample_id: int, window: tuple[int, int, int, int] | None = None
 ) -> dict[str, Tensor]:
-    """Sample (see the module) of a view, or of its ``window`` (top, left, height, width) in pixels."""
+    """Make a sample (see the module) of a view, or of its ``window`` (top, left, height, width) in pixels."""
     camera = view.record.camera
     top, left, height, width = window or (0, 0, camera.height_px, camera.width_px)
     rows, columns = slice(top, top + height), slice(left, left + width)
@@ -426,9 +426,9 @@ def make_loader(
 
 
 def _start_worker(_: int) -> None:
-    """Limit a loader process to one thread, and let it outlast a Ctrl-C or SIGTERM sent to all processes of
-    the run, since the training process needs its batches to finish the step. The loader's own SIGTERMs end
-    it: at least two are sent if it does not stop."""
+    """Limit a loader process to one thread. Ignore Ctrl-C and the first SIGTERM, which may be sent to all
+    processes of the run, since the training process needs more batches to finish its step. The DataLoader
+    ends the process by further SIGTERMs: it sends at least two if the process does not stop."""
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: signal.signal(signal.SIGTERM, signal.SIG_DFL))

@@ -35,7 +35,7 @@ from model.training.conditions import (
 from model.training.stopwatch import Stopwatch
 
 METAL_ABOVE = 0.2
-"""Maximum over channels of a non-metal's specular albedo."""
+"""Specular albedo (maximum over channels) above which a surface counts as metal."""
 _LOG_OFFSET = 0.1  # compresses the range of the re-renderings and keeps the logarithm finite at 0
 
 
@@ -46,8 +46,8 @@ class LossConfig(StrictModel):
     num_area_lights: int = Field(default=3, ge=0)
     map_l1_weight: float = Field(default=0.1, ge=0)
     map_l2_weight: float = Field(default=0.0, ge=0)
-    """Weight of the maps' mean squared errors. L1 alone is minimised by the median, which for specular albedo
-    is that of a dielectric where metal is rare (decision 0015)."""
+    """Weight of the maps' mean squared errors. L1 alone is minimised by the median, which is a dielectric's
+    specular albedo where metal is rare (decision 0015)."""
     metal_weight: float = Field(default=1.0, ge=0)
     """Factor of the squared errors of metal (true S above 0.2): if metal is more frequent in a recipe than
     in rooms, a weight below 1 prevents predictions of metal on dark surfaces."""
@@ -200,7 +200,7 @@ def confidence_loss(
     mask: Tensor,
     solver: SolverConfig,
 ) -> LossTerms:
-    """Mean squared error of the filtered maps over surface pixels; gradients reach only the confidence nets.
+    """Sum of the filtered maps' mean squared errors on surfaces; gradients reach only the confidence nets.
 
     ``nets`` is a :class:`model.confidence.ConfidenceNets`, possibly wrapped for several ranks. ``image`` (B,
     3, H, W) is encoded to [-1, 1]; ``predicted`` and ``truth`` contain all three maps (B, 3 or 1, H, W);

@@ -165,8 +165,8 @@ def _weighted_distance(a: list[Tensor], b: list[Tensor], heads: Heads) -> Tensor
 
 
 class Elpips(nn.Module):
-    """E-LPIPS distance (B,) of images (B, 3, H, W) in [0, 1] by VGG16, with its 14 heads and average pooling
-    or with LPIPS' 5 heads and max pooling."""
+    """E-LPIPS distance (B,) of images (B, 3, H, W) in [0, 1] by VGG16, with E-LPIPS' 14 heads and average
+    pooling, or with LPIPS' 5 heads and max pooling."""
 
     def __init__(self, layers: list[Convolution], heads: Heads, precision: str = "float32"):
         """``precision`` is the number format of VGG's activations; distances are summed in float32."""
@@ -188,7 +188,7 @@ class Elpips(nn.Module):
 
 
 class LpipsVgg:
-    """Plain LPIPS-VGG with the heads of the ``lpips`` package, and with features that can be reused."""
+    """Plain LPIPS-VGG with the heads of the ``lpips`` package; an image's features can be reused."""
 
     def __init__(self, layers: list[Convolution]):
         self._network, self._heads = VggFeatures(layers, average_pooling=False), load_lpips_heads()

@@ -23,11 +23,11 @@ from model.training.dataset import CropDataset, make_loader
 from model.training.losses import LossTerms, confidence_loss
 from model.training.validation import network_predictor
 
-_WARM_UP = 10.0  # at first, the last tenth of the steps is averaged, almost without the initial weights
+_WARM_UP = 10.0  # early averages span a tenth of the steps so far, which excludes the initial weights
 
 
 class TrackModule(nn.Module):
-    """The tracks that a phase trains, wrapped such that ranks exchange only their gradients."""
+    """The tracks that a phase trains, as one module, so that ranks exchange no other gradients."""
 
     def __init__(self, network: MaterialNetwork | OwnNetwork, tracks: tuple[TrackName, ...], precision: str):
         super().__init__()

@@ -86,8 +86,8 @@ class RunProgress(StrictModel):
 
 
 class NonFiniteError(RuntimeError):
-    """A loss, a gradient or an error on validation views is NaN or Inf; for the first two, the message names
-    the file with the batch."""
+    """A loss, a gradient or a validation metric is NaN or Inf; for a loss or gradient, the message names the
+    file with the batch."""
 
 
 def save_state(

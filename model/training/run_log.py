@@ -21,9 +21,9 @@ _COLUMNS = ("step", "phase", "epoch", "kind", "name", "value")
 
 
 class RunLog:
-    """Log of a run as CSV (one figure per row) and for TensorBoard; existing rows after ``step`` are removed.
+    """Log of a run as CSV (one value per row) and for TensorBoard; existing rows after ``step`` are removed.
 
-    ``listeners`` receive the same figures and panels.
+    ``listeners`` receive the same values and panels.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class RunLog:
         self.close()
 
     def scalars(self, step: int, phase: str, epoch: int, kind: str, values: Mapping[str, float]) -> None:
-        """Record the figures ``values`` by name; ``kind`` is ``train``, ``validation`` or ``speed``."""
+        """Record scalar ``values`` by name; ``kind`` is ``train``, ``validation`` or ``speed``."""
         name = f"{kind}/{phase}"
         self.listeners.tell(Event("train", "scalars", self.folder, name, step, dict(values)))
         for name, value in values.items():

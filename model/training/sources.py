@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Views of dataset folders for training and validation, checked before work starts."""
+"""Views of dataset folders for training and validation, checked before training starts."""
 
 from __future__ import annotations
 

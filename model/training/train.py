@@ -39,7 +39,7 @@ _STEP_PURPOSE = 0x57
 
 
 class Trainer:
-    """Training of a run on dataset ``folders``; ``out`` is a new folder or that of an interrupted run."""
+    """Trains a run on dataset ``folders``; ``out`` is a new folder or the folder of an interrupted run."""
 
     def __init__(
         self,
@@ -230,7 +230,7 @@ class Trainer:
         self.stop_requested = True
 
     def _stops(self) -> bool:
-        """Whether any rank received a request to stop."""
+        """Return whether any rank received a request to stop."""
         if self.ranks.count == 1:
             return self.stop_requested
         flag = torch.tensor(float(self.stop_requested), device=self.context.device)
@@ -239,7 +239,8 @@ class Trainer:
 
 @contextmanager
 def stop_signals(request: Callable[[], None]) -> Iterator[None]:
-    """Context in which SIGINT and SIGTERM call ``request``; the first one restores SIGINT's old handler."""
+    """Context in which SIGINT and SIGTERM call ``request``. The first signal restores SIGINT's old handler,
+    so a second Ctrl-C interrupts at once."""
     numbers = (signal.SIGINT, signal.SIGTERM)
     try:
         earlier = {number: signal.getsignal(number) for number in numbers}

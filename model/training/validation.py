@@ -97,7 +97,7 @@ def network_predictor(
 
 
 def filtered_predictor(predict: Predictor, nets: ConfidenceNets, solver: SolverConfig) -> Predictor:
-    """Return a predictor of the S and R of ``predict``, filtered by the bilateral solver."""
+    """Return a predictor that filters the S and R predicted by ``predict`` with the bilateral solver."""
 
     def filtered(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
         maps = predict(batch)
@@ -111,7 +111,7 @@ def filtered_predictor(predict: Predictor, nets: ConfidenceNets, solver: SolverC
 def phase_metrics(
     context: TrainingContext, phase: PhaseName, views: Sequence[ViewPlace], log: RunLog, step: int
 ) -> dict[str, float]:
-    """Errors on ``views``, by name, of the maps that a phase trains; panels of some views are logged."""
+    """Errors on ``views``, by name, of the maps that a phase trains. Panels of some views are logged."""
     if not views:
         return {}
     config, models = context.config, context.models
@@ -128,7 +128,7 @@ def phase_metrics(
 
 
 def final_metrics(context: TrainingContext, views: Sequence[ViewPlace]) -> dict[str, float]:
-    """Errors on ``views``, by name: of all maps and, if the last phase is confidence, of filtered maps."""
+    """Errors of all maps on ``views`` by name, and of filtered maps if the last phase is ``confidence``."""
     if not views:
         return {}
     config, models = context.config, context.models

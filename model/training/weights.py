@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Weights of the perceptual metric, VGG16's convolutions and linear heads: search, checks and download.
 
-No file is trusted: convolution weights from the package archive are numpy pickles, read by an unpickler that
-accepts float arrays only, after comparing the SHA-256 of archive and file; PyTorch files are read with
-``weights_only``; the values of the extracted safetensors file are compared with a hash on every use.
+No file is trusted. The package archive contains convolution weights as numpy pickles; after comparing the
+SHA-256 of archive and file, they are read by an unpickler that accepts float arrays only. PyTorch files are
+read with ``weights_only``. The values of the extracted safetensors file are hashed and compared on every use.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def load_array_pickle(data: bytes, where: str | Path) -> dict[str, Any]:
 
 def _checked(layers: list[Convolution], where: str | Path, known_file: bool = False) -> list[Convolution]:
     """Return ``layers``. Raises :class:`InputError` for shapes other than VGG16's, and for values whose hash
-    is not that of the published weights; ``known_file`` skips the check of values."""
+    differs from the published weights'; ``known_file`` skips the check of values."""
     num_in = 3
     for index, (layer, channels) in enumerate(zip(layers, VGG_CHANNELS, strict=True)):
         shape = tuple(layer.weight.shape)
