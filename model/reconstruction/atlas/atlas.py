@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The merged atlas, which is in memory or in memory-mapped files."""
+"""The merged atlas, in memory or in memory-mapped files."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from datagen.foundation.peak_memory import num_threads
 from model.reconstruction.atlas.texels import TexelSurface
 
 MAP_CHANNELS = {name: BUFFERS[name].num_channels for name in MATERIAL_MAPS}
-"""Number of channels of each merged map, in the order in which maps are packed."""
+"""Number of channels of each merged map, in the order of packed arrays (..., 7), which contain all maps."""
 MAP_COLUMNS = {
     name: slice(end - MAP_CHANNELS[name], end)
     for name, end in zip(MAP_CHANNELS, accumulate(MAP_CHANNELS.values()), strict=True)
 }
-"""Columns of each map where the maps are packed."""
+"""Channels of each map in a packed array."""
 ATLAS_DTYPE = np.float16
 ConfidenceAt = Callable[[NDArray, NDArray], NDArray[np.uint8]]
 """Function from points and normals (..., 3) to the confidence (..., 3) of D, S and R, 0 to 255."""
@@ -39,7 +39,7 @@ class Atlas:
 
     ``maps``: arrays (N, N, 3 or 1) in [0, 1] by name, 0 at unobserved texels until they are filled; ``count``
     (N, N): number of views merged in each texel; ``face`` (N, N): index of the texel's triangle, or -1;
-    ``confidence`` (N, N, 3): confidence of D, S and R from 0 to 255 (determined by light), None if unknown.
+    ``confidence`` (N, N, 3): confidence of D, S and R, 255 if determined by known light; None if unknown.
     """
 
     maps: dict[str, NDArray]
@@ -87,7 +87,7 @@ def empty_atlas(size: int, folder: Path | None = None, *, has_confidence: bool =
 
 
 def put_confidence(atlas: Atlas, surface: TexelSurface, confidence_at: ConfidenceAt) -> None:
-    """Set ``confidence`` of the atlas at observed texels. Raises :class:`ValueError` if it is None."""
+    """Set ``atlas.confidence`` at observed texels. Raises :class:`ValueError` if it is None."""
     target = atlas.confidence
     if target is None:
         raise ValueError("expected an atlas with confidence")

@@ -106,8 +106,8 @@ def _face_bins(uv: Any, vertices: Any, face: Any, size: Any, num_bins: Any) -> A
 
 @compiled
 def _add_to_bins(uv: Any, vertices: Any, size: Any, num_bins: Any, ends: Any, members: Any) -> None:
-    """Append the triangles to their bins, which end at ``ends`` in ``members``; if that is empty, only
-    advance ``ends``.
+    """Append each triangle to its bins in ``members`` and advance the bins' ``ends``; with empty ``members``,
+    only advance ``ends`` (a counting pass).
     """
     for face in range(len(vertices)):  # in ascending order, which also holds within each bin
         first_x, last_x, first_y, last_y = _face_bins(uv, vertices, face, size, num_bins)

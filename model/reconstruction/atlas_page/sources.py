@@ -4,8 +4,8 @@
 A source of radiance L, area A and vector area V (the sum of its triangles' areas times their normals) has the
 intensity L (max(V.w, 0) + (A - |V|) / 4) in direction w, which is exact for a rectangle, and for a closed
 convex surface on average over directions. It is at the centroid of the area. If there are too many sources,
-the two nearest are merged repeatedly, which preserves the sum of A L. Environments, spots and suns are
-omitted.
+the two nearest are merged repeatedly, which preserves the sum of A L. Environments, spotlights and
+directional lights are omitted.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from datagen.formats.lights import AreaLight, Light, PointLight, SphereLight
 from datagen.foundation.meshes.mesh import Mesh, area_vectors
 
 MAX_SOURCES = 8
-"""Maximum number of sources, which equals the value in ``page/shadows.js``."""
+"""Maximum number of sources; must equal the value in ``page/shadows.js``."""
 _POINT_RADIUS_M = 0.01  # radius of the sphere of equal intensity that replaces a point light
 
 

@@ -52,7 +52,7 @@ def shrunk(pixels: NDArray[np.uint8], max_side: int, *, is_color: bool) -> NDArr
     import cv2
 
     size = tuple(max(1, side * max_side // longest) for side in pixels.shape[1::-1])
-    if is_color:  # 16 bits of linear values are as exact as 8 of sRGB
+    if is_color:  # averaged as linear values, in 16 bits, which preserve the precision of 8-bit sRGB
         linear = np.round(65535 * linear_from_srgb(np.arange(256) / 255)).astype(np.uint16)[pixels]
         small = cv2.resize(linear, size, interpolation=cv2.INTER_AREA)
         return quantized_bytes(srgb_from_linear(small.reshape(size[1], size[0], -1) / 65535))
