@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Compares the edges of a mesh with those of a photograph by a score for every shift between them.
+"""Compares the edges of a mesh and a photograph by a score for every shift between them.
 
-Edges are fields of double angles (H, W, 2): the length of a vector is the edge's strength and its angle twice
-that of the edge's normal, so parallel edges agree (+1), perpendicular edges disagree (-1) and textures
-without direction cancel. The score of a shift is the mean agreement over the mesh's edges. A small rotation
-of the camera shifts the image by focal length x angle, so the position of the highest score gives the
-camera's error, and its height above other scores the certainty. If the camera is rolled or too far forward,
-the peak is higher for a mesh image that is rotated or magnified accordingly.
+Edges are fields of double angles (H, W, 2): a vector's length is the strength of the edge, and its angle is
+twice the angle of the edge's normal, so parallel edges agree (+1), perpendicular edges disagree (-1) and
+textures without direction cancel. The score of a shift is the mean agreement over the mesh's edges. A small
+rotation of the camera shifts the image by focal length x angle, so the position of the peak score gives the
+camera's error, and its height above other scores gives the certainty. If the camera is rolled or too far
+forward, the peak is higher for a mesh image that is rotated or magnified accordingly.
 
 R is the largest shift in pixels. Image axes are x right and y down; a shift (dx, dy) moves the mesh's edges
 onto the photograph's.
@@ -54,7 +54,7 @@ class EdgeMatch:
     num_edge_px: int
 
     def surely_px(self, shift: tuple[float, float]) -> float:
-        """Compute the length of ``shift`` in pixels, minus its standard deviation, at least 0."""
+        """Compute the length of ``shift`` in pixels minus its standard deviation by ``blur_px2``, or 0."""
         length = float(np.hypot(*shift))
         x, y = np.array(shift) / max(length, 1e-9)
         xx, xy, yy = self.blur_px2
@@ -102,7 +102,7 @@ def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
 
 
 def _plane_gap(z: NDArray, other: NDArray, normal: NDArray, ray: NDArray, other_ray: NDArray) -> NDArray:
-    """Compute the relative distance of a neighbour's depth ``other`` from the pixel's tangent plane."""
+    """Compute the distance of a neighbour's depth ``other`` from a pixel's tangent plane, over ``other``."""
     across = (normal * other_ray).sum(axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         expected = z * (normal * ray).sum(axis=-1) / across
@@ -213,7 +213,8 @@ def _warped(
 
 
 def _best(at: tuple[float, ...], gains: list[float], neutral: float) -> tuple[float, float]:
-    """Find the value of highest gain, of ``at`` and ``neutral`` (gain 0), by a parabola, and its gain."""
+    """Return the value with the highest gain among ``at`` and ``neutral`` (gain 0), refined by a parabola
+    through its neighbours, and this gain."""
     values, heights = np.array([*at, neutral]), np.array([*gains, 0.0])
     order = np.argsort(values)
     values, heights = values[order], heights[order]
@@ -227,7 +228,7 @@ def _best(at: tuple[float, ...], gains: list[float], neutral: float) -> tuple[fl
 
 
 def _vertex(scores: NDArray[np.float64], peak: NDArray) -> NDArray[np.float64]:
-    """Compute the offset (2,) from the index ``peak`` (2,) to the vertices of parabolas through scores."""
+    """Compute the subpixel offset (2,) of the maximum from the index ``peak`` (2,) by a parabola per axis."""
     found = np.zeros(2)
     for axis in (0, 1):
         step = np.eye(2, dtype=int)[axis]

@@ -24,7 +24,7 @@ _OFFSET_M, _SCALE, _SIGMAS = 0.008, 0.004, 3.0
 _MIN_VIEWS_FOR_SCALE = 8
 _FLOOR_PX2 = 0.25  # added to a peak's covariance, since shifts are known to half a pixel at best
 _OUTLIER = 1.5  # standard deviations of the residual above which a view has less weight
-_EXPLAINED = 0.75  # maximum remaining share of the median shift
+_EXPLAINED = 0.75  # maximum ratio of the median residual to the median shift
 _LOST = 0.6  # score relative to SURE below which a view does not match if others do
 _SURE_GAIN = 1.2  # minimum gain by roll or zoom in standard deviations; it is lower in correct views
 _MIN_ROLL_RAD, _MIN_ZOOM = np.radians(0.5), 0.015
@@ -38,7 +38,7 @@ class Registration:
     """A significant error of the mesh common to all views.
 
     ``offset_m``: offset of the mesh relative to the cameras, None if insignificant; ``scale``: scale of the
-    mesh relative to the cameras, 1 if insignificant; ``left_px``: remaining shift (dx, dy) of each view;
+    mesh relative to the cameras, 1 if insignificant; ``left_px``: residual shift (dx, dy) of each view;
     ``center_m`` (3,): mean position of the cameras.
     """
 
@@ -56,8 +56,8 @@ class Registration:
 def common_error(views: Sequence[tuple[Camera, float, EdgeMatch]]) -> Registration | None:
     """Estimate the offset and scale of the mesh that best explain all shifts; None if insignificant.
 
-    ``views``: camera, mean edge depth in metres, and match of the edges of each view. Robust least squares
-    tolerate single wrong views; the scale is estimated from eight views or more.
+    ``views``: camera, mean edge depth in metres, and match of the edges of each view. Iteratively reweighted
+    least squares bound the effect of outlier views; the scale is estimated from eight views or more.
     """
     if len(views) < _MIN_VIEWS:
         return None
@@ -94,7 +94,8 @@ def _is_moved(offset_m: NDArray[np.float64], covariance: NDArray[np.float64]) ->
 def _robust(
     a: NDArray[np.float64], b: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Solve ``a`` (V, 2, N) x = ``b`` (V, 2) robustly; return the solution (N,) and its covariance (N, N)."""
+    """Solve ``a`` (V, 2, N) x = ``b`` (V, 2) by iteratively reweighted least squares; return the solution
+    (N,) and its covariance (N, N)."""
     weight = np.ones(len(a))
     found = np.zeros(a.shape[2])
     for _ in range(20):
@@ -225,7 +226,7 @@ def _judge_shift(
 ) -> None:
     """Add a warning to a view whose edges are shifted too far or do not match.
 
-    ``left_px``: the shift (dx, dy) left by the common error, None if ambiguous.
+    ``left_px``: the residual shift (dx, dy) without the common error, None if ambiguous.
     """
     assert view.edges is not None
     is_lost = left_px is None

@@ -24,7 +24,7 @@ from model.reconstruction.check.edges import (
 
 MIN_COVERAGE = 0.05  # minimum share of pixels that show the mesh
 MAX_CLIPPED = 0.5
-_NEAR_M, _MAX_NEAR = 0.05, 0.5  # a camera is in a wall if a larger share of the mesh is nearer
+_NEAR_M, _MAX_NEAR = 0.05, 0.5  # if more than this share of the mesh is nearer, the camera is in a wall
 SEARCH_RAD = np.radians(3.5)  # maximum rotation error of a camera in the search
 _MIN_RADIUS_PX = 24  # ensures enough other shifts to distinguish a peak from chance
 TOLERANCE_RAD, _TOLERANCE_PX = np.radians(0.35), 1.5
@@ -37,7 +37,8 @@ class ViewCheck:
 
     ``coverage``: share of pixels that show the mesh; ``back_share``: share of these that show its back;
     ``nearest_m``: minimum depth; ``off_deg``: shift as a rotation of the camera, None without edges;
-    ``depth_m`` and ``zoom_depth_m``: mean edge depths for shifts and for magnifications.
+    ``depth_m``: harmonic mean depth of the edges; ``zoom_depth_m``: the same, weighted by squared distance
+    from the optical axis.
     """
 
     name: str
@@ -53,7 +54,7 @@ class ViewCheck:
 
     @property
     def is_judged(self) -> bool:
-        """Whether the edges determine the shift significantly."""
+        """True if the edges determine the shift significantly."""
         return self.edges is not None and self.edges.at_peak >= SURE
 
 
@@ -88,7 +89,7 @@ class CheckReport:
 def view_warnings(view: TracedView) -> list[str]:
     """Return warnings, with remedies, if a photograph hardly shows the mesh, is black or is mostly clipped.
 
-    An image without a known limit counts as clipped where it is white and nothing is brighter.
+    If the sensor's limit is unknown, white pixels count as clipped, unless some are brighter than white.
     """
     found, name = [], view.name
     coverage = float((view.geometry.face >= 0).mean())
