@@ -2,7 +2,7 @@
 """Writes atlases as image files: 8-bit PNG for viewers and packages, EXR for exact values.
 
 PNG stores diffuse and specular albedo sRGB-encoded (error at most 1/510 in encoded values), roughness
-linearly. Row 0 is at v = 1. Integer arrays are made band by band, so a 16K atlas needs no float copy.
+linearly. Row 0 is at v = 1. Maps are quantised band by band, so a 16K atlas needs no float copy.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def map_bytes(name: str, array: NDArray) -> NDArray[np.uint8]:
     halves = np.arange(65536, dtype=np.uint32).astype(np.uint16).view(np.float16).astype(np.float32)
     values = np.nan_to_num(np.clip(halves, 0.0, 1.0))
     table = quantized_bytes(srgb_from_linear(values) if MAP_CHANNELS[name] == 3 else values)
-    stored = np.empty(array.shape, np.uint8)[..., ::-1]  # B G R in memory, so the PNG writer need not copy it
+    stored = np.empty(array.shape, np.uint8)[..., ::-1]  # B G R in memory, as the PNG writer needs it
     for top in range(0, array.shape[0], BAND):
         band = np.ascontiguousarray(array[top : top + BAND], np.float16)
         stored[top : top + BAND] = table[band.view(np.uint16)]
@@ -91,8 +91,8 @@ def write_atlas_images(
 ) -> list[Path]:
     """Write ``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``; return the paths.
 
-    Any confidence of D, S and R is written to ``confidence.png`` and ``.exr`` as R, G and B. Images of
-    earlier maps that are not replaced are removed.
+    The confidence of D, S and R, if known, is written to ``confidence.png`` and ``.exr`` as R, G and B.
+    Images of an earlier atlas that are not replaced are removed.
     """
     folder.mkdir(parents=True, exist_ok=True)
 

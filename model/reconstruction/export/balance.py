@@ -3,8 +3,8 @@
 
 A recovered light has the radiance that was photographed or inferred where it is emitted or enters the room.
 The brightness of other surfaces also depends on unphotographed surfaces, on the merged materials, and on
-windows that are exported as diffuse rectangles. Therefore the radiance of photographed pixels in the light of
-each source is path traced in the exported Mitsuba scene. The gains, one per light and channel, minimise a
+windows that are exported as diffuse rectangles. Therefore the radiance of photographed pixels due to each
+light alone is path traced in the exported Mitsuba scene. The gains, one per light and channel, minimise a
 robust loss of the differences in log radiance from the photographs, including pixels that show a light.
 """
 
@@ -33,8 +33,8 @@ PATHS, MAX_DEPTH = 256, 24
 MAX_LIGHTS = 24
 """Maximum number of gains; the least powerful lights share the last one."""
 NOISE, FLOOR = 0.3, 0.1
-"""Difference of ln radiance above which the loss is linear, and radiance that is added before the logarithm,
-relative to the median."""
+"""Difference of ln radiance above which the loss is linear, and radiance, relative to the median, that is
+added before the logarithm."""
 GAIN_SPREAD, COLOR_SPREAD = 2.0, 0.2
 """Prior standard deviations of ln gain and of its deviation from the mean over channels."""
 MIN_SAMPLES = 100
@@ -106,7 +106,7 @@ def _emitters(lights: FoundLights) -> dict[str, list[str]]:
 def _transport(
     reconstruction: Reconstruction, samples: RadianceSamples, groups: Sequence[Sequence[str]]
 ) -> NDArray[np.float64]:
-    """Compute the radiance (N, K, 3) of the samples in the light of each of K groups of emitters."""
+    """Compute the radiance (N, K, 3) of the samples due to each of K groups of emitters alone."""
     import drjit as dr
 
     with tempfile.TemporaryDirectory(prefix="lights-") as folder:
@@ -172,7 +172,7 @@ def _emission_keys(parameters: Any, name: str) -> tuple[str, str]:
 
 
 def _radiance(scene: Any, samples: RadianceSamples, seed: int) -> NDArray[np.float64]:
-    """Path trace the radiance (N, 3) of the samples in the light of the emitters that are on."""
+    """Path trace the radiance (N, 3) of the samples due to the emitters that are switched on."""
     import mitsuba as mi
 
     integrator = mi.load_dict({"type": "path", "max_depth": MAX_DEPTH, "rr_depth": MAX_DEPTH // 2})
@@ -188,8 +188,8 @@ def _radiance(scene: Any, samples: RadianceSamples, seed: int) -> NDArray[np.flo
 
 
 def _differences(transport: NDArray, photographed: NDArray, floor: float, gains: NDArray) -> NDArray:
-    """Compute ln(radiance + floor) of the asset minus that of the photographs, (N, 3), for ``gains`` (K, 3)
-    of K lights; ``transport`` (N, K, 3) is the radiance in the light of each at gain 1.
+    """Compute the difference (N, 3) of ln(radiance + floor) between the asset and the photographs, for
+    ``gains`` (K, 3) of K lights; ``transport`` (N, K, 3) is the radiance due to each light at gain 1.
     """
     return np.log((transport * gains).sum(axis=1) + floor) - np.log(photographed + floor)
 

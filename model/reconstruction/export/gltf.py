@@ -3,8 +3,8 @@
 
 Lights are emissive surfaces (KHR_materials_emissive_strength), and optionally also point lights for small
 lamps and a directional light for the sun (KHR_lights_punctual). Emissive surfaces illuminate the scene in
-path tracers, but not in rasterising viewers; path tracers would count the light of a lamp twice if it were
-also a point light.
+path tracers, but not in rasterising viewers. In path tracers, a lamp that is also a point light would
+illuminate the scene twice.
 """
 
 from __future__ import annotations

@@ -31,9 +31,9 @@ def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction, *, has_sen
     """Write ``scene.xml``, its meshes and its textures to ``folder``; return the path of ``scene.xml``.
 
     Loading it requires ``mitsuba_plugins.register()``, which provides its BSDF. Sensors are the capture's
-    cameras with their mean focal length, since Mitsuba's pixels are square; their ids are the views' names,
-    unless a shape or light has this id. Lights are the recovered lights,
-    else the capture's point lights and constant sky, else a white sky. Shape ids are the names of meshes.
+    cameras with the mean of fx and fy, since Mitsuba's pixels are square; their ids are the views' names,
+    unless a shape or light has this id. Lights are the recovered lights, else the capture's point lights and
+    constant sky, else a white sky. Shape ids are the names of meshes.
     """
     textures = folder / "textures"
     textures.mkdir(parents=True, exist_ok=True)

@@ -60,8 +60,8 @@ class Reconstruction:
 
     @property
     def exported_lights(self) -> tuple[Light, ...]:
-        """Lights other than emissive surfaces: those recovered or, without any, the capture's, except those
-        with an image in another package, on which the export would depend.
+        """Lights other than emissive surfaces: the recovered lights or, if there are none, the capture's,
+        except those with an image in another package, since the export would depend on that package.
         """
         found = self.shining_lights
         if found is None:

@@ -267,15 +267,15 @@ class _Stage:
         _set_radiance(UsdLux.LightAPI(made.GetPrim()), color)
 
     def _path(self, name: str) -> str:
-        """Return a new path for a mesh or light; names of lights may be equal as identifiers."""
+        """Return a unique path for a mesh or light, since names of lights may be equal as identifiers."""
         identifier = unique(_identifier(name), self._names)
         self._names.add(identifier)
         return f"{ROOT}/{identifier}"
 
 
 def _frame(x: NDArray, z: NDArray, origin_m: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[np.float64]:
-    """Return the transform (4, 4) of a frame with the unit vector ``x``, and the direction ``z``, of any
-    length.
+    """Return the transform (4, 4) from a frame at ``origin_m`` with the unit vector ``x`` as its x axis and
+    its z axis along ``z``, of any length.
     """
     unit = z / np.linalg.norm(z)
     return affine(np.stack([x, np.cross(unit, x), unit], axis=1), origin_m)
