@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Fills unobserved texels of an atlas.
 
-In a partly observed chart, such texels get the value of the nearest observed texel of the chart, blended with
-distance into the chart's typical value, since the border of the observed part is the least accurate. In a
-hardly observed chart, the typical value is that of its connected piece. Triangles of unobserved charts get
-the mean of the best observed of the nearest triangles. Texels between charts get the value of the nearest
-texel with a surface, which avoids filtering artefacts at seams and in mip levels.
+In a partly observed chart, a texel gets the value of the nearest observed texel, which fades with distance
+into the chart's typical value (a median), since the border of the observed part is the least accurate. A
+hardly observed chart has the typical value of its connected piece of the mesh. Triangles of unobserved charts
+get the mean of the triangle with the most observed texels among the nearest ones. Texels between charts get
+the value of the nearest texel with a surface, which avoids filtering artefacts at seams and in mip levels.
 ``count`` remains 0 at filled texels.
 """
 
@@ -32,14 +32,14 @@ BAND = 1024
 GUTTER = 128
 """Number of rows above and below a band from which its gutters may be filled."""
 FADE_TEXELS = 16.0
-"""Distance in texels from the observed part of a chart at which the nearest texel and the chart's typical
-value weigh the same."""
+"""Distance in texels from the observed part of a chart at which the nearest observed texel and the chart's
+typical value have equal weights."""
 HARDLY_SEEN = 0.03
-"""Observed area of a chart, relative to that of its connected piece, at which both typical values weigh the
-same."""
+"""Ratio of the observed areas of a chart and its connected piece at which their typical values have equal
+weights."""
 NEAREST = 8
-"""Number of nearest observed triangles, of which the one with the most observed texels gives an unobserved
-triangle its value: small ones at silhouettes mix materials."""
+"""Number of nearest observed triangles among which the one with the most observed texels is copied to an
+unobserved triangle, since small triangles at silhouettes mix materials."""
 MAX_CHARTS = 20_000  # more charts are so small that filling by triangle suffices
 _LARGE_WINDOW = 2**22  # memory is released after charts with more texels
 
@@ -116,8 +116,9 @@ def _put_means(values: Any, face_of: Any, count: Any, needs: Any, means: Any, fi
 
 
 def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
-    """Select the mean (M, 7) of each triangle or, if it is unobserved, of the best observed of the
-    :data:`NEAREST` ones, which belong to the same connected piece if that is observed anywhere.
+    """Return the mean (M, 7) of each triangle's observed texels. An unobserved triangle has the mean of the
+    one with the most observed texels among the :data:`NEAREST` observed ones, searched in its connected piece
+    unless the whole piece is unobserved.
     """
     from scipy.spatial import cKDTree
 
@@ -139,8 +140,8 @@ def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
 def _fill_charts(
     atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray, typical: NDArray, progress: Advance
 ) -> NDArray[np.bool_]:
-    """Fill partly observed charts, far from their observed parts with the ``typical`` value (C, 7); return
-    the mask (C,) of charts that are complete.
+    """Fill the partly observed of C charts, with the ``typical`` values (C, 7) far from their observed parts;
+    return the mask (C,) of charts that are complete.
     """
     assert mesh.uv is not None
     num_charts = int(charts.max()) + 1
@@ -223,8 +224,8 @@ def typical_values(charts: NDArray, piece: NDArray, means: NDArray, num_seen: ND
     """Compute the typical value (C, K) of each chart, 0 for those without observed triangles.
 
     ``charts`` and ``piece`` (M,): chart and connected piece of each triangle; ``means`` (M, K) and
-    ``num_seen`` (M,): mean and number of its observed texels. It is the weighted median over the chart's
-    triangles, shrunk to the one over the charts of its piece (:data:`HARDLY_SEEN`).
+    ``num_seen`` (M,): mean and number of its observed texels. A typical value is the weighted median over the
+    chart's triangles, shrunk towards the median over the charts of its piece (:data:`HARDLY_SEEN`).
     """
     num_charts = int(charts.max()) + 1
     piece_of = np.zeros(num_charts, np.int64)

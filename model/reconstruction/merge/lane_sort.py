@@ -62,10 +62,10 @@ def sort_weighted_lanes(values: Any, weights: Any, network: Any) -> None:
 
 @compiled
 def middle_mean(values: Any, weights: Any, lane: Any, num: Any) -> Any:
-    """Compute the mean of the middle half, by weight, of the first ``num`` sorted values of a lane.
+    """Compute the weighted interquartile mean of the first ``num`` sorted values of a lane.
 
     A value is weighted by the part of its weight between a quarter and three quarters of the cumulative
-    weight. Outliers are ignored as by the median, but the result is continuous in the weights.
+    weight. Outliers are ignored, as by the median, but the result is continuous in the weights.
     """
     total = np.float32(0)
     for k in range(num):

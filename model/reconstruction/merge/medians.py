@@ -19,7 +19,7 @@ from model.reconstruction.atlas.texels import surface_point
 from model.reconstruction.merge.lane_sort import LANES, STEP, middle_mean, sort_lanes, sort_weighted_lanes
 
 SIDE = 8
-"""Side in texels of the squares, which have LANES texels."""
+"""Side in texels of a square; a square has LANES texels."""
 NUM_CHANNELS = 7
 PACKET = 8
 """Floats per pixel: D (3), S (3), R (1) and the index of the smooth region (1)."""
@@ -30,7 +30,7 @@ _X, _Y, _Z, _NX, _NY, _NZ, _U, _V, _DEPTH, _LIMIT, _REGION = (row * LANES for ro
 _ROWS = 11
 _ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
 _INFINITY = np.float32(np.inf)
-MIN_WEIGHT = np.float32(1e-3)  # division by a smaller weight would amplify rounding
+MIN_WEIGHT = np.float32(1e-3)  # division by a smaller weight would amplify rounding errors
 
 
 class ViewArrays(NamedTuple):
@@ -76,7 +76,7 @@ def _project(state: Any, camera: Any, rules: Any) -> None:
     r20, r21, r22, cx, cy, cz = camera[6], camera[7], camera[8], camera[9], camera[10], camera[11]
     fx, fy, px, py, width, height = camera[12], camera[13], camera[14], camera[15], camera[16], camera[17]
     tolerance, slope_px, slope_limit = rules.depth_tolerance, rules.slope_tolerance_px, rules.slope_limit
-    for lane in range(LANES):  # vector instructions require a constant number
+    for lane in range(LANES):  # a constant number, so that the compiler vectorises the loop
         x, y, z = state[_X + lane] - cx, state[_Y + lane] - cy, state[_Z + lane] - cz
         nx, ny, nz = state[_NX + lane], state[_NY + lane], state[_NZ + lane]
         facing = -(nx * x + ny * y + nz * z)

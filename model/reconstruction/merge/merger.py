@@ -8,10 +8,10 @@ Values are gathered, not scattered, so an atlas may have more texels than the vi
 process tiles; a large atlas is on disk, so memory contains only the views' maps and a few tiles. The loop is
 in ``medians``.
 
-At a border, of the image or of a silhouette, the set of merged views changes, which would cause visible steps
-in the merged maps. A pixel's weight therefore decreases to almost 0 towards the nearest border. Distant and
-grazing views blur texture. Where maps are exact, pixels are therefore weighted by the square of their
-resolution on the surface; where they are predictions, whose errors differ between views, equally.
+At image borders and silhouettes, the set of merged views changes, which would cause visible steps in the
+merged maps. A pixel's weight therefore decreases to almost 0 towards the nearest border. Distant and grazing
+views blur texture. Where maps are exact, pixels are therefore weighted by the square of their resolution on
+the surface; where maps are predictions, whose errors differ between views, pixels have equal weights.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 from datagen.geometry.traced import ViewGeometry
 
 RAMP = 0.1
-"""Distance over which the weight decreases, relative to the image diagonal."""
+"""Distance from a border over which the weight decreases, relative to the image diagonal."""
 MIN_BORDER_WEIGHT = 1e-3
 """Weight at a border, above 0 so that texels visible only near borders, such as leaves, get a value."""
 MIN_COSINE = 0.02
@@ -66,7 +66,7 @@ class MapView:
 
     ``depth_z_m`` (H, W, 1) is 0 at pixels without a value, such as background and lamps. ``face`` (H, W):
     index of each pixel's triangle; ``confidence`` (H, W, 3): optional confidence of D, S and R in [0, 1];
-    ``resolution`` (H, W): pixels per metre on the surface, 0 at pixels without one, None without confidence.
+    ``resolution`` (H, W): pixels per metre on the surface, 0 without a surface; None without confidence.
     """
 
     camera: Camera
@@ -141,7 +141,8 @@ class MergeOptions:
 
 
 class MapMerger:
-    """Merges the maps of ``views``, separately for smooth regions if ``region_of_face`` (M,) is given.
+    """Merges the maps of ``views``, without interpolation across smooth regions (bounded by creases) if
+    ``region_of_face`` (M,) is given.
 
     ``scene`` is required for visibility by shadow rays. Raises :class:`InputError` for maps that do not match
     their cameras, and for missing views, scene or confidence.
@@ -241,7 +242,7 @@ class MapMerger:
 
 
 def _typical_resolution(views: Sequence[MapView]) -> float:
-    """Return the median over views of their median pixels per metre; 1 if none has any."""
+    """Return the median over views of their median resolution (pixels per metre), 1 if all lack it."""
     resolutions = [view.resolution for view in views if view.resolution is not None]
     medians = [np.median(r[r > 0]) for r in resolutions if r.any()]
     return float(np.median(medians)) if medians else 1.0
@@ -322,8 +323,8 @@ def pixels_per_metre(camera: Camera, view: ViewGeometry) -> NDArray[np.float32]:
 def resolution_weights(resolution: NDArray, typical: float, confidence: NDArray) -> NDArray[np.float32]:
     """Compute (``resolution`` / ``typical``)^(2 ``confidence``) (H, W, 3) of D, S and R.
 
-    ``resolution`` (H, W): pixels per metre; where it is 0, weights are 1. ``typical``: that of the views'
-    median pixel; ``confidence`` (H, W, 3) in [0, 1].
+    ``resolution`` (H, W): pixels per metre; where it is 0, weights are 1. ``typical``: median resolution of
+    the views; ``confidence`` (H, W, 3) in [0, 1].
     """
     relative = np.where(resolution > 0, resolution / typical, 1).astype(np.float32)
     return relative[..., None] ** (2 * confidence.astype(np.float32))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Names of the pixel weights of the merge.
 
-``none``: equal weights; the others decrease towards borders of the views. ``resolution``: times the square
-of the pixels per metre, to the power of confidence; ``confidence``: times confidence.
+``none``: equal weights; ``borders``: weights that decrease towards image borders and silhouettes;
+``resolution``: these times (pixels per metre)^(2 confidence); ``confidence``: these times confidence.
 """
 
 from typing import Literal
