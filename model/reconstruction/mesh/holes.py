@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Finds holes of a reconstructed mesh, and fills those in which photographs show a continued surface.
 
-A hole is a simple cycle of boundary edges around which the surface lies in about one plane, and outside of
-the cycle, unlike at rims of vessels and outlines of open parts. Through a window, photographs show a surface
-at another depth, or light: views disagree there about a point on the filling, or it is much brighter
-than the surface around it. Such openings are left open. Of those in fewer than two views, small ones are
-filled: data is missing there and daylight would leak in, but a window would be larger.
+A hole is a simple cycle of boundary edges whose filling has about the normal of the surrounding surface,
+unlike at rims of vessels and outlines of open parts. Through a window, photographs show a surface at another
+depth, or light: views disagree about the radiance of a point on the filling, or it is much brighter than the
+surrounding surface. Such openings are left open. Holes visible in fewer than two views are filled if they are
+too small for windows: their surface was not reconstructed, and daylight would leak in.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from mitsuba_plugins.arrays import vectors_from_rows
 MAX_SIZE = 0.15
 """Maximum extent of a hole, relative to the diagonal of the mesh's bounding box."""
 MAX_UNSEEN_SIZE = 0.08
-"""The same for a hole that fewer than :data:`MIN_VIEWS` views see: 0.5 m in a room of 5 x 4 x 3 m."""
+"""The same for a hole visible in fewer than :data:`MIN_VIEWS` views: 0.5 m in a room of 5 x 4 x 3 m."""
 MIN_FLAT = 0.5
 """Minimum cosine of the angle between the normal of the filling and the mean normal around it."""
 MAX_CHANGE, MAX_SPREAD, MAX_SPREADS = np.log(2.0), 0.2, 1.5
-"""Maximum difference of log radiance between filling and surroundings; maximum deviation of log radiance
-between views (median over views, mean over points), absolute and relative to that of the surroundings. The
-larger maximum applies."""
+"""Maximum difference of log radiance between filling and surroundings; maximum median absolute deviation of
+log radiance between views (mean over points), as a value and as a multiple of the surroundings'. The larger
+maximum applies."""
 MIN_VIEWS, NUM_POINTS, MAX_HOLES = 2, 12, 2000
 """Minimum number of views of a point, number of points on each filling and around it, and maximum number of
-holes, of which those with the most edges count."""
+holes; those with the most edges are selected."""
 PART = "filled holes"
-_NEAR = 2e-3  # part of the distance to the camera that is not tested for occlusion
+_NEAR = 2e-3  # end of a shadow ray, relative to its length, that is not tested, to avoid self-occlusion
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -79,7 +79,7 @@ def find_holes(mesh: Mesh, is_ignored: NDArray[np.bool_]) -> list[Hole]:
 
 
 def _boundary(corners: Ints, num_vertices: int) -> tuple[Ints, Ints, Ints]:
-    """Return start, end and triangle (E,) of the edges that a filling would add to triangles (M, 3)."""
+    """Return start, end and triangle (E,) of the boundary edges of triangles (M, 3), reversed."""
     start = corners.ravel()
     end = np.roll(corners, -1, axis=1).ravel()
     forward, backward = start * num_vertices + end, end * num_vertices + start
@@ -88,7 +88,7 @@ def _boundary(corners: Ints, num_vertices: int) -> tuple[Ints, Ints, Ints]:
 
 
 def _cycles(start: Ints, end: Ints, owner: Ints) -> list[tuple[Ints, Ints]]:
-    """Divide directed edges into simple cycles, as vertices and owners (N,) of the edges that leave them."""
+    """Divide directed edges into simple cycles; return the vertices and owners (N,) of each one's edges."""
     leaving: dict[int, list[int]] = {}
     for edge in range(len(start) - 1, -1, -1):
         leaving.setdefault(int(start[edge]), []).append(edge)
@@ -112,7 +112,7 @@ def _cycles(start: Ints, end: Ints, owner: Ints) -> list[tuple[Ints, Ints]]:
 
 
 def triangulated(points: Floats) -> Ints:
-    """Triangulate a polygon (N, 3) that is about flat, by clipping ears; returns indices (N - 2, 3)."""
+    """Triangulate a roughly planar polygon (N, 3) by ear clipping; returns indices (N - 2, 3)."""
     normal = np.cross(points - points[0], np.roll(points, -1, axis=0) - points[0]).sum(axis=0)
     normal /= max(float(np.linalg.norm(normal)), 1e-300)
     helper = np.eye(3)[np.argmin(np.abs(normal))]
@@ -126,7 +126,7 @@ def triangulated(points: Floats) -> Ints:
 def _clip_ears(points: Floats) -> Ints:
     """Triangulate a counter-clockwise polygon (N, 2); if no ear is left, clip the most convex corner."""
     size = points.max() - points.min()
-    rounding = 1e-12 * size * size  # of turns; without it, ears over a corner on their edge leave no area
+    rounding = 1e-12 * size * size  # excludes ears with another corner on an edge, which would leave no area
     rest = list(range(len(points)))
     found = np.empty((len(points) - 2, 3), np.int64)
     for step in range(len(found)):
@@ -158,8 +158,8 @@ def _turn(points: Floats, a: int, b: int, c: int) -> float:
 
 
 def filled(capture: Capture) -> tuple[Capture, int]:
-    """Fill holes of the capture's mesh in which photographs show a surface, and small ones that they do
-    not show; also return their number.
+    """Fill holes of the capture's mesh in which photographs show a surface, and small unphotographed holes;
+    also return the number of filled holes.
 
     The added triangles are the last part. The mesh loses its UVs.
     """
@@ -184,8 +184,8 @@ def filled(capture: Capture) -> tuple[Capture, int]:
 def _is_surface(
     capture: Capture, positions: Floats, corners: Ints, holes: Sequence[Hole], patches: Sequence[Ints]
 ) -> NDArray[np.bool_]:
-    """Compute the mask (H,) of the holes to fill: those in which photographs show a continued surface, and
-    small ones that too few photographs show.
+    """Compute the mask (H,) of the holes to fill: holes in which photographs show a continued surface, and
+    small holes that are visible in too few photographs.
     """
     random = np.random.default_rng(0x686F6C65)
     triangles = [t for hole, patch in zip(holes, patches, strict=True) for t in (patch, corners[hole.around])]
@@ -224,8 +224,8 @@ def _points_on(triangles: Floats, random: np.random.Generator) -> Floats:
 
 
 def _seen_radiance(capture: Capture, scene: mi.Scene, points: Floats) -> tuple[Floats, Floats]:
-    """Return the median log radiance (P,) of points over the views that see them, and its median absolute
-    deviation (P,); NaN for points in fewer than :data:`MIN_VIEWS` views."""
+    """Return the median log radiance (P,) of points over the views in which they are visible, and its median
+    absolute deviation (P,); NaN for points visible in fewer than :data:`MIN_VIEWS` views."""
     seen = np.full((len(capture.views), len(points)), np.nan, np.float32)
     for row, view in zip(seen, capture.views, strict=True):
         image = view.read()

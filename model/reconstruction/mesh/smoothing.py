@@ -27,9 +27,9 @@ from model.reconstruction.stages import Run
 
 NORMAL_ROUNDS, VERTEX_ROUNDS = 20, 20
 ANGLE_SCALE = 0.35
-"""Standard deviation of the filter's weight over the length of the difference of two unit normals."""
+"""Standard deviation of the filter's range kernel, in units of the length of the difference of normals."""
 MIN_NOISE_DEG = 2.0
-"""Minimum noise of a mesh that is mended; modelled meshes have 0, photogrammetry several degrees."""
+"""Minimum noise at which a mesh is mended; modelled meshes have 0, photogrammetry several degrees."""
 _BLOCK = 16_384
 
 Floats = NDArray[np.float64]
@@ -118,7 +118,7 @@ def _filter_normals(
     area: Floats,
     centre: Floats,
 ) -> None:
-    """Filter the normals of the triangles [begin, end); neighbours share a vertex, or two and count twice."""
+    """Filter the normals of the triangles [begin, end) over neighbours; those across an edge count twice."""
     for i in range(begin, end):
         spread, count = 0.0, 0
         for k in range(3):

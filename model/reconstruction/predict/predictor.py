@@ -70,9 +70,9 @@ def view_tensors(
 
 
 class Predictor:
-    """A checkpoint that is prepared for a capture; ``exposure`` is the result of :func:`capture_exposure`.
+    """A checkpoint prepared for a capture; ``exposure`` is the result of :func:`capture_exposure`.
 
-    ``has_confidence``: whether the output of the confidence networks is also returned, for weights of the
+    ``has_confidence``: True if the output of the confidence networks is also returned, as weights for the
     merge. The precision "auto" is bfloat16 if the device supports it natively, else float32.
 
     Raises :class:`InputError` if confidence is requested from a checkpoint without confidence networks.
@@ -96,7 +96,7 @@ class Predictor:
 
     @property
     def is_filtered(self) -> bool:
-        """Whether the bilateral solver runs."""
+        """True if the bilateral solver runs."""
         return self.options.is_filtered and self._confidence is not None
 
     @torch.no_grad()

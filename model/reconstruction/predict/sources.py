@@ -43,7 +43,7 @@ class CheckpointMaps:
         parse_device(options.device)
 
     def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
-        """Read the maps that an earlier run stored, and predict those of the other views."""
+        """Read the maps that an earlier run stored, and predict the maps of the other views."""
         # imports torch, which other sources do not need
         from model.reconstruction.predict.view_maps import predicted_maps
 
@@ -52,7 +52,7 @@ class CheckpointMaps:
 
 @dataclass(frozen=True)
 class GivenMaps:
-    """Maps from another source; ``read`` returns those of every view, in the capture's order."""
+    """Maps from another source; ``read`` returns the maps of every view, in the capture's order."""
 
     identity: str
     read: Callable[[TracedCapture], list[Maps]]

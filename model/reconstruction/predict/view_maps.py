@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Predicts the maps of a capture's views and stores them by view, so interrupted runs can resume."""
+"""Predicts the maps of a capture's views and stores each view's, so that interrupted runs can resume."""
 
 from __future__ import annotations
 
