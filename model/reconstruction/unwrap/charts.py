@@ -15,7 +15,7 @@ PADDING = 2
 """Texels between charts in an atlas of about :data:`PACK_SIZE`."""
 _EXPECTED_COVERAGE = 0.7
 _TRIALS = (1.0, 0.96, 1.04)
-"""Factors of the size in texels. Sides of the packed rectangle differ by up to a fifth, by chance."""
+"""Scales of the charts that are tried, since the side of a packing varies by up to a fifth by chance."""
 
 
 def chart_of_faces(mesh: Mesh) -> NDArray[np.int32]:
@@ -48,10 +48,10 @@ def _pieces(corners: NDArray) -> NDArray[np.int32]:
 
 
 def packed(mesh: Mesh, chart: NDArray) -> tuple[Mesh, float]:
-    """Return ``mesh`` with its charts packed by xatlas, and the side of the unit square in units of its UVs.
+    """Return ``mesh`` with its charts packed by xatlas, and the unit square's side in units of ``mesh.uv``.
 
-    ``mesh.uv`` has each chart at its scale, in any place; ``chart`` (M,) is that of each triangle. Charts
-    are rotated and mirrored, and stretched to whole texels, so that the narrowest are a texel wide.
+    ``mesh.uv`` has each chart at its intended relative scale, at any position; ``chart`` (M,): chart of each
+    triangle. Charts are rotated, mirrored, and stretched to whole texels, so the narrowest are a texel wide.
     """
     assert mesh.uv is not None
     uv = mesh.uv.astype(np.float64)
@@ -105,7 +105,7 @@ def _placed(
 
 
 def _collapsed(uv: NDArray[np.float64], faces: NDArray) -> NDArray[np.float64]:
-    """Replace NaN: vertices of triangles without area, which xatlas omits, get a UV of their triangle."""
+    """Replace NaN: vertices of degenerate triangles, which xatlas omits, get another corner's UV, or 0."""
     for face in faces[np.isnan(uv[faces, 0]).any(axis=1)]:
         sound = face[~np.isnan(uv[face, 0])]
         missing = face[np.isnan(uv[face, 0])]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Divides a mesh into charts that face one direction, and projects each onto its plane.
 
-A chart grows from the largest free triangle over shared edges while normals are within a cone around its
-mean normal. Charts of least stretch, as xatlas makes them for smooth models, are one or two triangles each on
-ornaments and reconstructed meshes, where the gaps between charts then take three quarters of the atlas.
+A chart grows from the largest unassigned triangle over shared edges while normals are within a cone around
+its mean normal. xatlas' own charts, which minimise stretch, have only one or two triangles each on ornaments
+and reconstructed meshes; gaps between charts would take three quarters of the atlas.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class PlanarCharts:
         self._grow()
 
     def projected(self) -> Mesh:
-        """Return the mesh with each chart's own vertices, and with UVs in metres, at the scale that preserves
-        the chart's area; charts overlap.
+        """Return the mesh with vertices split between charts, and with UVs in metres: each chart is projected
+        onto its plane and scaled to preserve its area. Charts overlap.
         """
         chart = np.unique(self.chart, return_inverse=True)[1]
         num = int(chart.max()) + 1
@@ -69,7 +69,7 @@ class PlanarCharts:
         )
 
     def _grow(self) -> None:
-        """Assign triangles without a chart to new ones."""
+        """Assign triangles without a chart to new charts."""
         order = np.argsort(-self._areas, kind="stable")
         num = int(self.chart.max()) + 1
         cosine = np.cos(np.radians(GROWTH_DEG))
@@ -111,7 +111,7 @@ def _grow_charts(
     chart: Ints,
     num: int,
 ) -> int:
-    """Grow charts from ``num`` on over triangles of ``chart`` -1, in place; return the number of charts."""
+    """Grow charts numbered from ``num`` over triangles of ``chart`` -1, in place; return the new ``num``."""
     queue = np.empty(len(order), np.int64)
     for seed in order:
         if chart[seed] >= 0:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Chooses the atlas size, and scales an unwrap's charts, for texels as fine as the pixels that show them.
+"""Chooses the atlas size and the scales of an unwrap's charts, for texels as fine as photographed pixels.
 
-A lawn outside the windows may be twenty times as large as the room, so at one scale for all charts
-most texels would be of unphotographed surfaces. Charts therefore get as many texels per metre as views have
-pixels, and large unphotographed ones fewer, unless this saves little.
+A lawn outside the windows may be twenty times as large as the room, so at one scale for all charts, most
+texels would be of unphotographed surfaces. Charts therefore get as many texels per metre as views have pixels
+there, and large unphotographed charts get fewer, unless this saves little.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from model.reconstruction.unwrap.uv import UvReport, padding_texels
 MIN_SIZE, MAX_SIZE = 256, 16384
 MAX_PIXELS = 20_000
 FINE_QUANTILE = 0.9
-"""Quantile of pixels per metre that counts as fine."""
+"""Quantile of pixels per metre, over pixels, to which texels are matched."""
 _GRAZING_COSINE = 0.1  # bounds the footprints of grazing views
 MAX_REDUCTION = 8.0
-"""Ratio of the finest texels per metre to those of unphotographed charts."""
+"""Ratio of the highest texel density (per metre) to the lowest, which large unphotographed charts have."""
 SMALL_SIDE = 64.0
-"""Minimum root of a chart's number of texels, unless its texels are the finest."""
+"""Minimum square root of a chart's number of texels, unless the chart already has the highest density."""
 MAX_SIDE_RATIO = 0.8
-"""Maximum ratio of the atlas sides after and before, for equal texels on the finest charts, at which the
-mesh's own charts are repacked."""
+"""Maximum ratio of the atlas side after repacking to the side before, at equal texel density of the finest
+charts, for which the mesh's own layout is replaced."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class PixelDensity:
 
     @property
     def footprint_m(self) -> float | None:
-        """Side of a fine pixel's footprint on the surface in metres; None if no surface is visible."""
+        """Side in metres of a pixel's footprint at :data:`FINE_QUANTILE`; None if no surface is visible."""
         return float(1 / np.quantile(self.per_m, FINE_QUANTILE)) if len(self.per_m) else None
 
 
@@ -106,8 +106,8 @@ def repacked(mesh: Mesh, report: UvReport, density: PixelDensity) -> tuple[Mesh,
 
 
 def _chart_densities(density: PixelDensity, chart: NDArray, num: int) -> NDArray[np.float64]:
-    """Compute the fine pixels per metre of each of ``num`` charts, 0 if no pixel shows it; ``chart`` (M,) is
-    that of each triangle.
+    """Compute the quantile :data:`FINE_QUANTILE` of pixels per metre on each of ``num`` charts, 0 if
+    unphotographed; ``chart`` (M,): chart of each triangle.
     """
     which = chart[density.face]
     order = np.lexsort((density.per_m, which))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Makes UVs for an atlas: those of the mesh if they are a valid unwrap, else new ones.
+"""Makes UVs for an atlas: the mesh's own UVs if they are a valid unwrap, else new ones.
 
-UVs are valid if all are inside the unit square, none is missing and no two triangles overlap. New ones are
-planar charts of one scale (``planar``), packed by xatlas (``charts.packed``).
+UVs are valid if all are inside the unit square, none is degenerate and no triangles overlap, up to small
+tolerances. New ones are planar charts of one scale (``planar``), packed by xatlas (``charts.packed``).
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def padding_texels(mesh: Mesh) -> int | None:
 
 
 def _overlapping(mesh: Mesh) -> NDArray[np.bool_]:
-    """Find triangles (M,) that lie over others, unless they are few: of each pair, that of higher index."""
+    """Compute the mask (M,) of triangles whose UVs overlap those of lower index; empty if there are few."""
     highest, is_several = TexelSurface(mesh, face_normals(mesh), PACK_SIZE).overlaps(_CHECK_OFFSET)
     overlapping = np.zeros(len(mesh.faces), np.bool_)
     several = highest[is_several]
