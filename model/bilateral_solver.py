@@ -231,7 +231,8 @@ def solve(
 
 
 class _Filter(torch.autograd.Function):
-    """The filter x = S^T A^-1 S (c t); with g = dL/dx, z = S^T A^-1 S g: dL/dt = c z, dL/dc = z (t - x)."""
+    """The filter x = S^T A^-1 S (c t). For a loss L, with g = dL/dx and z = S^T A^-1 S g, its adjoint is
+    dL/dt = c z, dL/dc = z (t - x)."""
 
     @staticmethod
     def forward(

@@ -17,8 +17,7 @@ from model.checkpoint import load_checkpoint, save_checkpoint
 def publish_checkpoint(source: Path, target: Path) -> None:
     """Write the checkpoint ``source`` to ``target`` in half precision, without paths of this machine.
 
-    Raises :class:`InputError` if ``target`` does not end in .safetensors: its card is named ``target`` with
-    .json in place of this suffix.
+    Raises :class:`InputError` unless ``target`` ends in .safetensors; the card has the suffix .json instead.
     """
     if target.suffix != ".safetensors":
         raise input_error("--out", "", str(target), "the name of a .safetensors file", "correct it")

@@ -82,7 +82,7 @@ _CONDITION_PURPOSE = 0xC0
 
 
 def generator_for(*key: int) -> torch.Generator:
-    """CPU generator seeded by ``key``, e.g. (seed, purpose, step, rank), independent of all other keys'."""
+    """CPU generator seeded by a hash of ``key``, e.g. (seed, purpose, step, rank)."""
     state = 0x9E3779B97F4A7C15
     for part in key:  # splitmix64 of the running state: neighbouring keys have unrelated seeds
         state = (state ^ (part & 0xFFFFFFFFFFFFFFFF)) & 0xFFFFFFFFFFFFFFFF

@@ -2,7 +2,7 @@
 """Configuration of a training run: presets, files and flags.
 
 Precedence is preset < file < flags. Unknown keys are errors. The resolved configuration is saved in the run's
-folder before work starts.
+folder before training starts.
 """
 
 from __future__ import annotations
@@ -85,8 +85,7 @@ class DataConfig(StrictModel):
     with u uniform between minus and plus this value: colour channels of light transport are independent, so
     the result is consistent. 0 disables both."""
     block_views: int = Field(default=32, ge=1)
-    """Crops are shuffled within blocks of this many views, each of which is decoded once per loader process.
-    """
+    """Crops are shuffled within blocks of this many views, which each loader process decodes once."""
     workers: int = Field(default=1, ge=0)
     """Loader processes per rank; 0 decodes in the training process."""
     in_memory: bool = False
@@ -153,10 +152,10 @@ class TrainingConfig(StrictModel):
 
 
 def _layered(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings of ``base``, overridden by those of ``over``.
+    """Return the settings of ``base``, overridden by the settings in ``over``.
 
-    A custom network in ``over`` replaces all network settings of ``base``; a phase ``joint`` with the
-    settings of the first phase replaces the phases ``diffuse`` and ``specular`` of ``base``.
+    A custom network in ``over`` replaces all network settings of ``base`` and, unless ``over`` has phases, a
+    phase ``joint`` with the settings of the first phase replaces the phases ``diffuse`` and ``specular``.
     """
     network = over.get("network")
     if isinstance(network, dict) and network.get("factory") is not None:

@@ -277,8 +277,7 @@ def _shared(shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
 
 
 class CropDataset(Dataset[dict[str, Tensor]]):
-    """Crops by sample id (see :class:`BatchPlan`). Decoded views are cached in ``views``, by default an LRU
-    cache of ``block_views``."""
+    """Crops by sample id (see :class:`BatchPlan`); ``views`` caches decoded views (default: an LRU cache)."""
 
     def __init__(
         self,

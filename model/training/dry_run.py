@@ -94,7 +94,7 @@ def saved_bytes(run: Callable[[], Any]) -> int:
 
 
 def describe_run(config: TrainingConfig, folders: list[Path], device: torch.device | None = None) -> str:
-    """Text for ``--dry-run``: the configuration, and the run's data, memory and hours."""
+    """Text for ``--dry-run``: configuration, data, and the estimated memory and time of each phase."""
     data = open_data(folders, config.network, config.data.crop_px)
     context = make_context(config, data, device)
     device = context.device

@@ -89,7 +89,7 @@ class Phase:
     def batches(self, start: int) -> Iterator[dict[str, Tensor]]:
         """Yield micro-batches from step ``start`` to the phase's end.
 
-        Raises :class:`InputError` for an invalid view, also if a loader process found it.
+        Raises :class:`InputError` for an invalid view, even if a loader process found it.
         """
         plan = self.context.plan(self.index, start, self.num_steps)
         workers, pin = self.context.config.data.workers, self.context.device.type == "cuda"
@@ -140,7 +140,7 @@ class WeightAverage:
 
     @torch.no_grad()
     def update(self, step: int) -> None:
-        """Update the averages with the current weights, those after step ``step`` (from 1)."""
+        """Update the averages with the current weights, after step ``step`` (from 1)."""
         share = 1.0 - min(self.decay, step / (_WARM_UP + step))
         for value, parameter in zip(self.values, self.parameters, strict=True):
             value.lerp_(parameter, share)

@@ -60,7 +60,7 @@ def check_same_run(path: Path, record: RunRecord) -> None:
             for field, then, now in differences(
                 earlier.model_dump(mode="json"), record.model_dump(mode="json")
             )
-            if ".assets" not in field  # the index, whose hash is compared, lists them
+            if ".assets" not in field  # listed in the index, whose hash is compared
         )
     )
 

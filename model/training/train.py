@@ -68,7 +68,7 @@ class Trainer:
         """Train to the end and return the final checkpoint's path.
 
         Raises ``KeyboardInterrupt`` after saving when stopped by SIGINT or SIGTERM, and
-        :class:`NonFiniteError` if the loss or a gradient is NaN or Inf.
+        :class:`NonFiniteError` if the loss, a gradient or a validation metric is NaN or Inf.
         """
         config, context, folder = self.config, self.context, self.folder
         self.progress, restored = folder.open(self.folders)
@@ -239,8 +239,7 @@ class Trainer:
 
 @contextmanager
 def stop_signals(request: Callable[[], None]) -> Iterator[None]:
-    """Context in which SIGINT and SIGTERM call ``request``. The first signal restores SIGINT's old handler,
-    so a second Ctrl-C interrupts at once."""
+    """Context in which SIGINT and SIGTERM call ``request``; a second SIGINT calls its previous handler."""
     numbers = (signal.SIGINT, signal.SIGTERM)
     try:
         earlier = {number: signal.getsignal(number) for number in numbers}

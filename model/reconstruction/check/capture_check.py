@@ -85,8 +85,7 @@ def check_views(
 
 
 def _try_other_frames(report: CheckReport, capture: Capture, edge_views: Sequence[EdgeView]) -> None:
-    """Try other up axes and units on some views; add a warning that names the best one, if it fits better, or
-    else that the mesh does not fit."""
+    """Try other up axes and units on some views; warn that the mesh does not fit, with the best, if any."""
     step = max(1, len(edge_views) // _MAX_TRIED_VIEWS)
     chosen = edge_views[::step][:_MAX_TRIED_VIEWS]
     in_file = z_up_from(capture.mesh_up).T

@@ -54,7 +54,7 @@ class EdgeMatch:
     num_edge_px: int
 
     def surely_px(self, shift: tuple[float, float]) -> float:
-        """Compute the length of ``shift`` in pixels minus its standard deviation by ``blur_px2``, or 0."""
+        """Compute the length of ``shift`` minus its standard deviation (from ``blur_px2``), at least 0."""
         length = float(np.hypot(*shift))
         x, y = np.array(shift) / max(length, 1e-9)
         xx, xy, yy = self.blur_px2
@@ -102,7 +102,7 @@ def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
 
 
 def _plane_gap(z: NDArray, other: NDArray, normal: NDArray, ray: NDArray, other_ray: NDArray) -> NDArray:
-    """Compute the distance of a neighbour's depth ``other`` from a pixel's tangent plane, over ``other``."""
+    """Compute the distance of a neighbour at depth ``other`` from a pixel's tangent plane, over ``other``."""
     across = (normal * other_ray).sum(axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         expected = z * (normal * ray).sum(axis=-1) / across
@@ -213,8 +213,7 @@ def _warped(
 
 
 def _best(at: tuple[float, ...], gains: list[float], neutral: float) -> tuple[float, float]:
-    """Return the value with the highest gain among ``at`` and ``neutral`` (gain 0), refined by a parabola
-    through its neighbours, and this gain."""
+    """Return the value of highest gain, refined by a parabola, and its gain; ``neutral`` has the gain 0."""
     values, heights = np.array([*at, neutral]), np.array([*gains, 0.0])
     order = np.argsort(values)
     values, heights = values[order], heights[order]

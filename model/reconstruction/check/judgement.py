@@ -28,8 +28,8 @@ _EXPLAINED = 0.75  # maximum ratio of the median residual to the median shift
 _LOST = 0.6  # score relative to SURE below which a view does not match if others do
 _SURE_GAIN = 1.2  # minimum gain by roll or zoom in standard deviations; it is lower in correct views
 _MIN_ROLL_RAD, _MIN_ZOOM = np.radians(0.5), 0.015
-_MAX_LISTED = 6  # views in a warning
-_MIN_VIEWS = 4  # minimum number for a common error
+_MAX_LISTED = 6  # maximum number of views named in a warning
+_MIN_VIEWS = 4  # minimum number of views for a common error
 _MAX_SPREAD = 0.3  # maximum relative spread of common magnifications
 
 
@@ -57,7 +57,7 @@ def common_error(views: Sequence[tuple[Camera, float, EdgeMatch]]) -> Registrati
     """Estimate the offset and scale of the mesh that best explain all shifts; None if insignificant.
 
     ``views``: camera, mean edge depth in metres, and match of the edges of each view. Iteratively reweighted
-    least squares bound the effect of outlier views; the scale is estimated from eight views or more.
+    least squares (IRLS) bound the effect of outliers; the scale is estimated from eight views or more.
     """
     if len(views) < _MIN_VIEWS:
         return None
@@ -94,8 +94,7 @@ def _is_moved(offset_m: NDArray[np.float64], covariance: NDArray[np.float64]) ->
 def _robust(
     a: NDArray[np.float64], b: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Solve ``a`` (V, 2, N) x = ``b`` (V, 2) by iteratively reweighted least squares; return the solution
-    (N,) and its covariance (N, N)."""
+    """Solve ``a`` (V, 2, N) x = ``b`` (V, 2) by IRLS; return the solution (N,) and its covariance (N, N)."""
     weight = np.ones(len(a))
     found = np.zeros(a.shape[2])
     for _ in range(20):
@@ -226,7 +225,7 @@ def _judge_shift(
 ) -> None:
     """Add a warning to a view whose edges are shifted too far or do not match.
 
-    ``left_px``: the residual shift (dx, dy) without the common error, None if ambiguous.
+    ``left_px``: shift (dx, dy) that the common error does not explain, None if ambiguous.
     """
     assert view.edges is not None
     is_lost = left_px is None

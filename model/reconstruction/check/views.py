@@ -36,9 +36,8 @@ class ViewCheck:
     """Results of the check of a view.
 
     ``coverage``: share of pixels that show the mesh; ``back_share``: share of these that show its back;
-    ``nearest_m``: minimum depth; ``off_deg``: shift as a rotation of the camera, None without edges;
-    ``depth_m``: harmonic mean depth of the edges; ``zoom_depth_m``: the same, weighted by squared distance
-    from the optical axis.
+    ``nearest_m``: minimum depth; ``off_deg``: camera rotation that explains the shift, None without edges;
+    ``depth_m``: harmonic mean depth of the edges; ``zoom_depth_m``: see ``EdgeView._zoom_depth_m``.
     """
 
     name: str
@@ -166,7 +165,7 @@ class EdgeView(TracedView):
         return found
 
     def _zoom_depth_m(self, at: NDArray[np.bool_], depth: NDArray[np.floating]) -> float:
-        """Compute the depth z0 at which a forward camera motion t magnifies masked edges by 1 + t / z0.
+        """Compute the depth z0 for which a forward camera motion t magnifies the masked edges by 1 + t / z0.
 
         An edge at distance r from the optical axis and depth z moves outwards by r t / z; one factor is
         fitted to all edges by least squares.

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Fills unobserved texels of an atlas.
 
-In a partly observed chart, a texel gets the value of the nearest observed texel, which fades with distance
-into the chart's typical value (a median), since the border of the observed part is the least accurate. A
-hardly observed chart has the typical value of its connected piece of the mesh. Triangles of unobserved charts
-get the mean of the triangle with the most observed texels among the nearest ones. Texels between charts get
-the value of the nearest texel with a surface, which avoids filtering artefacts at seams and in mip levels.
-``count`` remains 0 at filled texels.
+In a partly observed chart, an unobserved texel gets the value of the nearest observed one, which fades with
+distance into the chart's typical value (a median), since the border of the observed part is the least
+accurate. A hardly observed chart has the typical value of its connected piece of the mesh. Triangles of
+unobserved charts get the mean of the triangle with the most observed texels among the nearest ones. Texels
+between charts get the value of the nearest texel with a surface, which avoids filtering artefacts at seams
+and in mip levels. ``count`` remains 0 at filled texels.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from model.reconstruction.unwrap.charts import chart_of_faces, connected_pieces
 BAND = 1024
 """Number of rows that are processed at once."""
 GUTTER = 128
-"""Number of rows above and below a band from which its gutters may be filled."""
+"""Number of rows above and below a band whose texels may fill its gutters (texels between charts)."""
 FADE_TEXELS = 16.0
 """Distance in texels from the observed part of a chart at which the nearest observed texel and the chart's
 typical value have equal weights."""
@@ -116,9 +116,8 @@ def _put_means(values: Any, face_of: Any, count: Any, needs: Any, means: Any, fi
 
 
 def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
-    """Return the mean (M, 7) of each triangle's observed texels. An unobserved triangle has the mean of the
-    one with the most observed texels among the :data:`NEAREST` observed ones, searched in its connected piece
-    unless the whole piece is unobserved.
+    """Return the mean (M, 7) of each triangle or, if it is unobserved, of the triangle with the most observed
+    texels among the :data:`NEAREST` ones, in the same connected piece unless all of it is unobserved.
     """
     from scipy.spatial import cKDTree
 
@@ -140,8 +139,8 @@ def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
 def _fill_charts(
     atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray, typical: NDArray, progress: Advance
 ) -> NDArray[np.bool_]:
-    """Fill the partly observed of C charts, with the ``typical`` values (C, 7) far from their observed parts;
-    return the mask (C,) of charts that are complete.
+    """Fill partly observed charts, with ``typical`` values (C, 7) far from their observed parts; return the
+    mask (C,) of filled charts.
     """
     assert mesh.uv is not None
     num_charts = int(charts.max()) + 1
@@ -210,7 +209,7 @@ def _fade(
     unseen: NDArray[np.bool_],
     typical: NDArray[np.float32],
 ) -> None:
-    """Blend the ``unseen`` texels of a window with ``typical`` (7,), more with distance to ``seen`` ones."""
+    """Blend the ``unseen`` texels of a window into ``typical`` (7,) with increasing distance to ``seen``."""
     import cv2
 
     distance = cv2.distanceTransform(np.where(seen, np.uint8(0), np.uint8(255)), cv2.DIST_L2, 5)[unseen]
@@ -239,7 +238,7 @@ def typical_values(charts: NDArray, piece: NDArray, means: NDArray, num_seen: ND
 
 
 def _medians(group: NDArray, values: NDArray, weight: NDArray, num: int) -> NDArray[np.float64]:
-    """Compute the weighted medians (num, K) of ``values`` (N, K) by ``group`` (N,); 0 without weight."""
+    """Compute the weighted medians (num, K) of ``values`` (N, K) by ``group`` (N,), 0 where weights are 0."""
     found = np.zeros((num, values.shape[1]))
     rows = np.flatnonzero(weight)
     total = np.bincount(group, weight, num)

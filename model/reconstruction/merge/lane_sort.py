@@ -22,7 +22,7 @@ STEP = 4
 def networks(most: int) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Build Batcher's sorting networks for lists of k * STEP values, k = 0, 1, ..., up to at least ``most``.
 
-    Returns the comparisons (C, 2), pairs of rows, of all networks, and the first comparison (K + 1,) of each.
+    Returns the comparisons (C, 2) of all networks as pairs of rows, and offsets (K + 1,) of each network.
     """
     powers = [1 << bits for bits in range((most + STEP).bit_length() + 1)]
     full = {power: sorting_network(power) for power in powers}

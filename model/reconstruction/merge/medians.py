@@ -49,7 +49,7 @@ class ViewArrays(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """Parameters of :class:`datagen.multiview.visibility.VisibilityOptions` and of the weights of values."""
+    """Parameters of visibility (:class:`datagen.multiview.visibility.VisibilityOptions`) and of weighting."""
 
     depth_tolerance: np.float32
     slope_tolerance_px: np.float32

@@ -37,9 +37,9 @@ Ints = NDArray[np.int64]
 
 
 def noise_deg(mesh: Mesh) -> float:
-    """Measure noise: the area-weighted median over triangles of the smallest angle across one of its edges.
+    """Measure noise: the area-weighted median over triangles of the smallest angle to a neighbour's normal.
 
-    It is 0 for modelled surfaces, whose faces are pairs of coplanar triangles, or curve in one direction.
+    It is 0 for modelled surfaces, on which every triangle has a coplanar neighbour (as on cylinders).
     """
     corners = welded(mesh)[1][mesh.faces]
     area_vector = area_vectors(mesh.triangles())
@@ -85,7 +85,7 @@ def smoothed(mesh: Mesh, is_fixed: NDArray[np.bool_], progress: Advance = no_adv
 
 
 def _faces_around(faces: Ints, num_vertices: int) -> tuple[Ints, Ints]:
-    """Return the index (V + 1,) of each vertex's first triangle, and the triangles (3M,) by vertex."""
+    """Return each vertex's triangles in CSR form: offsets (V + 1,) by vertex, and triangles (3M,)."""
     order = np.argsort(faces.ravel(), kind="stable")
     first = np.concatenate([[0], np.cumsum(np.bincount(faces.ravel(), minlength=num_vertices))])
     return first, order // 3

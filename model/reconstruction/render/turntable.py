@@ -108,7 +108,7 @@ def _orbit(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
 
 
 def _through(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
-    """Compute poses on a closed spline through the cameras' poses, at equal steps of its parameter."""
+    """Compute poses on a closed spline through the cameras' poses, at equal steps of the spline parameter."""
     from scipy.interpolate import CubicSpline
 
     keys = np.array([np.concatenate([c.position_m, c.forward]) for c in cameras])

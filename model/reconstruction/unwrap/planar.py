@@ -91,8 +91,8 @@ class PlanarCharts:
 
 
 def _faces_across_edges(corners: Ints) -> tuple[Ints, Ints]:
-    """Return the index (M + 1,) of each triangle's first neighbour, and the neighbours across edges by
-    triangle; ``corners`` (M, 3) are indices of welded vertices.
+    """Return each triangle's neighbours across edges in CSR form: offsets (M + 1,) by triangle, and
+    neighbours; ``corners`` (M, 3) are indices of welded vertices.
     """
     pairs = edge_pairs(corners)
     one, other = np.concatenate([pairs, pairs[:, ::-1]]).T

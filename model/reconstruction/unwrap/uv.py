@@ -22,7 +22,7 @@ from model.reconstruction.unwrap.planar import PlanarCharts
 
 MIN_PADDING_TEXELS = 1
 MAX_PACKINGS = 4
-"""Maximum number of layouts; overlapping triangles of one become charts of the next."""
+"""Maximum number of packings; triangles that overlap in one become separate charts in the next."""
 _MAX_PADDING, _MAX_CHART_FACES = 8, 1_000_000
 _CHECK_SIZE = 1024
 _CHECK_OFFSET = (0.5123, 0.4871)  # avoids samples on edges, where two triangles meet
@@ -36,10 +36,10 @@ class UvReport:
     """Quality of an unwrap.
 
     ``source``: origin of the UVs; ``rejected``: fault of the mesh's UVs, or ''; ``coverage``: share of the
-    atlas with a surface; ``metres_per_side``: median length on the surface that corresponds to the atlas
-    side, on the finest charts if ``is_repacked``, i.e. their scales were changed; ``stretch``: ratio of the
-    95th to the 5th percentile of texel density by area before repacking, ideally 1; ``num_charts``: number of
-    charts; ``padding_texels``: see :func:`padding_texels`.
+    atlas with a surface; ``metres_per_side``: length on the surface of the atlas side: the median or, if
+    ``is_repacked`` (the scales of charts were changed), the length on the finest charts; ``stretch``: ratio
+    of the 95th to the 5th percentile of texel density by area before repacking, ideally 1; ``num_charts``:
+    number of charts; ``padding_texels``: see :func:`padding_texels`.
     """
 
     source: Literal["mesh", "planar"]
@@ -114,7 +114,7 @@ def padding_texels(mesh: Mesh) -> int | None:
 
 
 def _overlapping(mesh: Mesh) -> NDArray[np.bool_]:
-    """Compute the mask (M,) of triangles whose UVs overlap those of lower index; empty if there are few."""
+    """Compute the mask (M,) of triangles whose UVs overlap one of lower index; all False if negligible."""
     highest, is_several = TexelSurface(mesh, face_normals(mesh), PACK_SIZE).overlaps(_CHECK_OFFSET)
     overlapping = np.zeros(len(mesh.faces), np.bool_)
     several = highest[is_several]
