@@ -79,7 +79,7 @@ class NetworkConfig(StrictModel):
     @field_validator("arguments")
     @classmethod
     def _round_trip_json(cls, arguments: dict[str, Any]) -> dict[str, Any]:
-        # checkpoints restore the network, and runs are compared when resumed, from JSON
+        # checkpoints store them as JSON, in which a resumed run is also compared with its start
         try:
             is_same = json.loads(json.dumps(arguments, allow_nan=False)) == arguments
         except (TypeError, ValueError):
@@ -283,7 +283,7 @@ class _Down(Layer):
 
 
 def _strip_rows(x: Tensor) -> int:
-    """Rows of x per strip of about ``STRIP_ELEMENTS`` upsampled values; all rows if x itself has no more."""
+    """Rows of x per strip of about ``STRIP_ELEMENTS`` upsampled values; all rows if x has fewer values."""
     count = x.numel()
     return x.shape[2] if count <= STRIP_ELEMENTS else max(1, x.shape[2] * STRIP_ELEMENTS // (4 * count))
 

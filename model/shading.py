@@ -162,7 +162,7 @@ def sg_inner_product(sharpness1: Tensor, sharpness2: Tensor, axis_gap2: Tensor) 
 
 
 def sg_hemisphere_integral(sharpness: Tensor, cos_beta: Tensor) -> Tensor:
-    """Integral of a unit-amplitude spherical Gaussian over a hemisphere with its pole at beta to the axis.
+    """Integral of a unit-amplitude spherical Gaussian over a hemisphere; beta: angle between axis and pole.
 
     As in Meder and Bruederlin 2018, the integrals over the hemispheres around the axis and opposite to it are
     blended by a fitted sigmoid; expm1 avoids overflow.

@@ -122,7 +122,7 @@ class TrainingConfig(StrictModel):
     accumulation: int = Field(default=1, ge=1)
     learning_rate: float = Field(default=2e-5, gt=0)
     final_learning_rate: float | None = Field(default=None, gt=0)
-    """Learning rate at the end of each phase, reached along half a cosine; None: constant rate."""
+    """Learning rate at the end of each phase, reached by cosine annealing; None: constant rate."""
     adam_betas: tuple[_Decay, _Decay] = (0.5, 0.999)
     gradient_clip_norm: float | None = Field(default=None, gt=0)
     """Gradients with a larger norm, over all weights that a phase trains, are scaled down to it; None: no

@@ -74,7 +74,7 @@ class Phase:
         )
 
     def learning_rate(self, step: int) -> float:
-        """Learning rate of step ``step`` (from 0): constant, or along half a cosine to the final rate."""
+        """Learning rate of step ``step`` (from 0): constant, or cosine annealing to the final rate."""
         first = self.config.learning_rate or self.context.config.learning_rate
         last = self.config.final_learning_rate or self.context.config.final_learning_rate
         if last is None:

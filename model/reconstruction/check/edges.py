@@ -102,7 +102,7 @@ def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
 
 
 def _plane_gap(z: NDArray, other: NDArray, normal: NDArray, ray: NDArray, other_ray: NDArray) -> NDArray:
-    """Compute the distance of a neighbour at depth ``other`` from a pixel's tangent plane, over ``other``."""
+    """Compute the relative difference of a neighbour's depth ``other`` from a pixel's tangent plane there."""
     across = (normal * other_ray).sum(axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         expected = z * (normal * ray).sum(axis=-1) / across

@@ -40,7 +40,7 @@ weights."""
 NEAREST = 8
 """Number of nearest observed triangles among which the one with the most observed texels is copied to an
 unobserved triangle, since small triangles at silhouettes mix materials."""
-MAX_CHARTS = 20_000  # more charts are so small that filling by triangle suffices
+MAX_CHARTS = 20_000  # if there are more, charts are so small that filling by triangle suffices
 _LARGE_WINDOW = 2**22  # memory is released after charts with more texels
 
 
@@ -125,7 +125,7 @@ def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
     piece = connected_pieces(mesh)
     known = np.flatnonzero(num_seen)
     is_seen = np.isin(piece, piece[known])
-    apart = 10 * float(np.linalg.norm(np.ptp(centroids, axis=0)))  # pieces are further apart than triangles
+    apart = 10 * float(np.linalg.norm(np.ptp(centroids, axis=0)))  # separates pieces
     by_piece = np.column_stack([centroids, apart * piece])
     source = np.arange(len(centroids))
     for which, place in ((is_seen, by_piece), (~is_seen, centroids)):

@@ -29,7 +29,7 @@ def networks(most: int) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     tables = []
     for size in range(0, most + STEP, STEP):
         pairs = full[1 << max(size - 1, 0).bit_length()]
-        tables.append(pairs[pairs[:, 1] < size])  # without those beyond the end of the list
+        tables.append(pairs[pairs[:, 1] < size])  # without comparisons beyond the list's end
     starts = np.cumsum([0, *map(len, tables)], dtype=np.int64)
     return np.concatenate(tables).astype(np.int32), starts
 

@@ -2,7 +2,8 @@
 """Names of the pixel weights of the merge.
 
 ``none``: equal weights; ``borders``: weights that decrease towards image borders and silhouettes;
-``resolution``: these times (pixels per metre)^(2 confidence); ``confidence``: these times confidence.
+``resolution``: border weights times (pixels per metre)^(2 confidence); ``confidence``: border weights times
+confidence.
 """
 
 from typing import Literal

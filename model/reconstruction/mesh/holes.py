@@ -38,7 +38,7 @@ MIN_VIEWS, NUM_POINTS, MAX_HOLES = 2, 12, 2000
 """Minimum number of views of a point, number of points on each filling and around it, and maximum number of
 holes; those with the most edges are selected."""
 PART = "filled holes"
-_NEAR = 2e-3  # end of a shadow ray, relative to its length, that is not tested, to avoid self-occlusion
+_NEAR = 2e-3  # untested end of a shadow ray, relative to its length; avoids occlusion by the point's surface
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -208,7 +208,7 @@ def _diagonal(positions: NDArray) -> float:
 
 
 def _medians(values: Floats) -> Floats:
-    """Compute the upper median over the last axis, ignoring NaN; NaN if all values are."""
+    """Compute the upper median over the last axis, ignoring NaN; NaN if all values are NaN."""
     ordered = np.sort(values, axis=-1)  # NaN last
     count = np.isfinite(values).sum(axis=-1)
     index = np.minimum(count // 2, values.shape[-1] - 1)

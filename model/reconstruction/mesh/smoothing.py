@@ -39,7 +39,7 @@ Ints = NDArray[np.int64]
 def noise_deg(mesh: Mesh) -> float:
     """Measure noise: the area-weighted median over triangles of the smallest angle to a neighbour's normal.
 
-    It is 0 for modelled surfaces, on which every triangle has a coplanar neighbour (as on cylinders).
+    It is 0 for modelled surfaces, on which every triangle has a coplanar neighbour (even on cylinders).
     """
     corners = welded(mesh)[1][mesh.faces]
     area_vector = area_vectors(mesh.triangles())

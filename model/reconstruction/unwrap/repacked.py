@@ -88,7 +88,7 @@ def repacked(mesh: Mesh, report: UvReport, density: PixelDensity) -> tuple[Mesh,
     wanted = np.clip(wanted, finest / MAX_REDUCTION, finest)
     scale = np.where(
         area_uv > 0, wanted * np.sqrt(area_m2 / np.maximum(area_uv, 1e-30)), 0.0
-    )  # texels per UV
+    )  # texels per unit of UV
     of_vertex = np.zeros(len(mesh.positions), np.int64)
     of_vertex[mesh.faces] = chart[:, None]
     scaled = (mesh.uv * scale[of_vertex, None]).astype(np.float32)
