@@ -70,8 +70,7 @@ def packed(mesh: Mesh, chart: NDArray) -> tuple[Mesh, float]:
 
 def _apart(sizes: NDArray[np.float64]) -> NDArray[np.float64]:
     """Lay out boxes of ``sizes`` (K, 2) in rows, disjointly, since xatlas joins charts with equal UVs; return
-    their corners (K, 2).
-    """
+    their corners (K, 2)."""
     order = np.argsort(-sizes[:, 1], kind="stable")
     width, height = (sizes[order] + 1).T
     starts = np.cumsum(width) - width
