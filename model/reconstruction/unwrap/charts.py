@@ -19,7 +19,7 @@ _TRIALS = (1.0, 0.96, 1.04)
 
 
 def chart_of_faces(mesh: Mesh) -> NDArray[np.int32]:
-    """Compute each triangle's chart index (M,); triangles that share a position and its UV share a chart."""
+    """Compute each triangle's chart index (M,); triangles that share a position and UV share a chart."""
     return _pieces(compacted(Mesh(mesh.positions, mesh.faces, None, mesh.uv)).faces)
 
 
