@@ -3,9 +3,9 @@
 
     python -m datagen.assembly.class_statistics LIBRARY [LIBRARY ...]
 
-For each main class, this prints the number of materials, the 5th, 50th and 95th percentiles over materials of
-the brightest channel of mean D and of mean R, each with its limits of variation, and medians over materials
-of the standard deviations over texels: of hue in turns, of saturation and value as factors, and of R.
+Prints for each main class the number of materials and the 5th, 50th and 95th percentiles of the brightest
+channel of mean D and of mean R, each followed by its limits in ``CLASS_RANGES``. The last columns are medians
+over materials of the spreads within a texture: of hue (in turns), saturation and value (factors), and R.
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ _MIN_SATURATION = 0.05  # hue and saturation of less saturated texels are noise
 
 @dataclass(frozen=True)
 class MaterialSample:
-    """Means of a material, ``value`` being the brightest channel of D, and standard deviations of its texels.
+    """Mean R and brightest channel of mean D (``value``) of a material, and spreads of its texels.
 
-    ``hue_spread`` is in turns, those of saturation and value are factors; all are NaN without a texture.
+    Spreads are standard deviations: of hue in turns, of saturation and value as factors (geometric), and of
+    R. They are NaN without a texture; hue and saturation also if all texels are grey.
     """
 
     value: float
@@ -44,7 +45,7 @@ class MaterialSample:
 
 
 def _spread_of_color(texels: NDArray) -> tuple[float, float, float]:
-    """Standard deviations over texels (H, W, 3): of hue in turns, of saturation and value as factors."""
+    """Return the spreads of hue, saturation and value of texels (H, W, 3), as in :class:`MaterialSample`."""
     import cv2
 
     hsv = cv2.cvtColor(np.ascontiguousarray(texels, dtype=np.float32), cv2.COLOR_RGB2HSV).reshape(-1, 3)

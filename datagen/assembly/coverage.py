@@ -22,12 +22,12 @@ PREVIEW_WIDTH_PX = 64
 MIN_SHELL_PIXELS = 0.03  # minimum share of the image for a wall or ceiling to count as visible
 _WALLS: tuple[Surface, ...] = ("wall", "tiles")
 _POINTS = 400  # approximate number of surface points sampled per view
-_DEPTH_SLACK = 2e-3  # relative shortening of visibility rays, which prevents self-occlusion of surface points
+_DEPTH_SLACK = 2e-3  # share by which visibility rays end early, so that points do not occlude themselves
 _QUADRANTS = 4
 
 
 def preview_of(camera: Camera) -> Camera:
-    """The camera with its image scaled down to at most :data:`PREVIEW_WIDTH_PX` columns."""
+    """Return the camera at a low resolution, of at most :data:`PREVIEW_WIDTH_PX` columns."""
     width = min(PREVIEW_WIDTH_PX, camera.width_px)
     return camera.scaled(width, max(8, round(width * camera.height_px / camera.width_px)))
 
@@ -78,7 +78,7 @@ def visible_mask(camera: Camera, points: Floats, rays: RayScene) -> NDArray[np.b
 def measure(
     scene: WorldScene, shell: Shell, assigned: tuple[dict[str, MeanMaterial], ...], cameras: list[Camera]
 ) -> ViewCoverage:
-    """Measure how well ``cameras`` cover a scene; ``assigned`` maps the slots of each asset to materials."""
+    """Measure how well ``cameras`` cover a scene; ``assigned`` maps each asset's slots to mean materials."""
     previews = [preview_of(camera) for camera in cameras]
     hits: list[Hits] = []
     points: list[Floats] = []

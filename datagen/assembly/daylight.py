@@ -20,7 +20,7 @@ from mitsuba_plugins.variant import select_variant
 
 SUN_ELEVATION_RAD = (math.radians(6.0), math.radians(65.0))
 _TABLE_ROWS, _TABLE_COLUMNS = 32, 64
-SUN_HALF_ANGLE_RAD = math.radians(0.5 * 0.5358)  # the aperture of Mitsuba's sunsky
+SUN_HALF_ANGLE_RAD = math.radians(0.5 * 0.5358)  # half the default sun aperture of Mitsuba's sunsky
 _SUN_SAMPLES = 128
 _SUN_TRIES = 24
 
@@ -49,7 +49,7 @@ def lookup(table: Floats) -> EnvironmentMap:
 
 
 def environment_radiance(light: EnvironmentLight, library: Library) -> EnvironmentMap:
-    """Radiance of an environment as a function of world direction, averaged over cells of 5.6 degrees."""
+    """Radiance of an environment as a function of world direction; images are averaged over 5.6 degrees."""
     if light.image is None:
         constant = light.scale * np.array(light.radiance)
         return lambda directions: np.broadcast_to(constant, directions.shape)
@@ -163,11 +163,11 @@ def environment_image(library: Library, asset_id: str) -> str:
 def draw_sun_direction(
     rays: RayScene, openings: tuple[Opening, ...], targets: Floats, enters: bool, draws: Draws
 ) -> tuple[Floats, bool]:
-    """Draw a unit vector (3,) towards the sun; also return whether it reaches one of ``targets`` (P, 3).
+    """Draw a unit vector (3,) towards the sun; also return whether it lights one of ``targets`` (P, 3).
 
     If ``enters`` is true, directions from targets through openings are tried until one is unobstructed and
-    within :data:`SUN_ELEVATION_RAD`. If none is found or ``enters`` is false, the direction is random and
-    not tested.
+    has an elevation in :data:`SUN_ELEVATION_RAD`. If none is found or ``enters`` is false, the direction is
+    random and the second value False.
     """
     if enters and openings and len(targets):
         areas = [float(np.linalg.norm(np.cross(o.edge_u_m, o.edge_v_m))) for o in openings]

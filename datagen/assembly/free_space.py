@@ -18,8 +18,8 @@ from datagen.foundation.random import Draws
 
 NUM_PROBE_RAYS = 96  # cast in all directions from a camera position, 15 degrees between neighbours
 _REACH_M = 6.0  # without camera regions, free space extends this far from the environment's cameras
-_MAX_BACK_SHARE = 0.35  # share of probe rays above which hits on back faces mean a camera inside a solid
-_MAX_OPEN_SHARE = 0.75  # share of probe rays above which misses mean a camera outside the room
+_MAX_BACK_SHARE = 0.35  # a camera is inside a solid if more than this share of probe rays hits back faces
+_MAX_OPEN_SHARE = 0.75  # a camera is outside the room if more than this share of probe rays hits nothing
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class FreeSpace:
     height_m: tuple[float, float]
 
     def check(self) -> None:
-        """Raise :class:`InputError` if there are neither regions nor cameras, or all regions are too low."""
+        """Raise :class:`InputError` without camera regions and cameras, or if all regions are too low."""
         where = f"environment {self.environment.id}"
         if not self.environment.camera_regions and not self.environment.cameras:
             expected, remedy = "a camera region or a camera", "add one to the room's asset.json"
@@ -51,7 +51,7 @@ class FreeSpace:
 
     @cached_property
     def _regions(self) -> list[tuple[Floats, Floats, float]]:
-        """Lower corner (3,), upper corner (3,), floor area in m² of each region within the height range."""
+        """Camera regions cut to the camera heights, as (lower corner (3,), upper corner (3,), area in m²)."""
         found = []
         for region in self.environment.camera_regions:
             low, high = np.array(region.minimum_m), np.array(region.maximum_m)
@@ -63,7 +63,7 @@ class FreeSpace:
         return found
 
     def draw(self, draws: Draws) -> Floats | None:
-        """Draw a position (3,) without the check by :meth:`fault`; None if there is no floor below it."""
+        """Draw a position (3,), not yet tested by :meth:`fault`; None if there is no floor below it."""
         if self._regions:
             low, high, _ = draws.weighted(self._regions, [w for _, _, w in self._regions])
             return low + draws.units(3) * (high - low)
@@ -82,16 +82,19 @@ class FreeSpace:
 
     @cached_property
     def has_consistent_winding(self) -> bool:
-        """Whether triangles have consistent winding as seen from the cameras and from above the supports."""
+        """True if triangles seen from the cameras and from above the supports are consistently wound."""
         starts = [np.array(c.asset_from_camera)[:3, 3] for c in self.environment.cameras]
         return has_consistent_winding(self.rays, [*starts, *above_supports(self.environment)])
 
     def fault(self, position: Floats, clearance_m: float) -> str:
-        """Reason why a position (3,) is not free: ``inside_solid``, ``too_close``, ``outside``; else ''."""
+        """Return why a position (3,) is not free, or ''.
+
+        The reasons are ``inside_solid``, ``too_close`` (a surface within ``clearance_m``) and ``outside``.
+        """
         return self._faults(position[None], clearance_m)[0]
 
     def _faults(self, positions: Floats, clearance_m: float) -> list[str]:
-        """The :meth:`fault` of each of P positions (P, 3)."""
+        """Return the :meth:`fault` of each of the positions (P, 3)."""
         shape = len(positions), NUM_PROBE_RAYS
         directions = np.tile(fibonacci_sphere(NUM_PROBE_RAYS), (len(positions), 1))
         hits = self.rays.cast(np.repeat(positions, NUM_PROBE_RAYS, axis=0), directions)
@@ -106,7 +109,7 @@ class FreeSpace:
     def points(self, count: int, clearance_m: float, draws: Draws, rejections: Counter[str]) -> Floats:
         """Draw up to ``count`` free positions (P, 3) in at most ``8 * count`` tries.
 
-        Counts rejected positions by reason. Raises :class:`InputError` if no position is free.
+        ``rejections`` counts the others by reason. Raises :class:`InputError` if no position is free.
         """
         found: list[Floats] = []
         tries = 8 * count

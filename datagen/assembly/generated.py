@@ -32,7 +32,7 @@ class GeneratedRoom:
 
     @cached_property
     def bare_slots(self) -> frozenset[tuple[str, str]]:
-        """Pairs (asset id, slot) of slots whose placeholder a material of the palette must replace."""
+        """Pairs (asset id, slot) of the slots with a placeholder material, which must be replaced."""
         asset = self.package.as_kind(EnvironmentAsset)
         return frozenset(
             (asset.id, slot)
@@ -42,7 +42,10 @@ class GeneratedRoom:
 
 
 def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoom | None:
-    """Generate the room of an attempt at configuration ``index``; None if it uses a room of the library."""
+    """Generate the room of an attempt at planning configuration ``index``.
+
+    Returns None if the configuration uses a room of the library.
+    """
     wanted = recipe.environments.parametric
     draws = Draws(recipe.seed, index, "parametric")
     if wanted is None or not draws.chance(wanted.share):
@@ -53,7 +56,7 @@ def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoo
 
 
 def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> GeneratedRoom | None:
-    """Generate the room of a planned configuration again; None if its room comes from the library.
+    """Generate the room of a planned configuration again; return None if it is a room of the library.
 
     Raises :class:`ValueError` if none of the first ``num_tries`` attempts has the room's asset id.
     """
@@ -65,7 +68,7 @@ def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> Gen
 
 
 def example_rooms(recipe: Recipe) -> Iterator[EnvironmentAsset]:
-    """Yield one room of each kind that the recipe allows; none if it generates no rooms."""
+    """Yield one room of each kind that the recipe can generate."""
     wanted = recipe.environments.parametric
     for kind in _kinds(wanted) if wanted is not None else ():
         yield _generated(kind, "example", False).package.as_kind(EnvironmentAsset)

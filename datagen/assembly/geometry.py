@@ -44,7 +44,7 @@ class Hits:
 
 
 class RayScene:
-    """Triangles for ray queries, with unit ``normals`` (M, 3) on the front and ``areas`` (M,) in m²."""
+    """Triangles for ray queries, with unit ``normals`` (M, 3) on the front side and ``areas`` (M,) in m²."""
 
     def __init__(self, vertices: Floats, faces: NDArray):
         self.faces = np.ascontiguousarray(faces, dtype=np.int32)
@@ -145,7 +145,7 @@ class AssetGeometry:
 
     @cached_property
     def rays(self) -> RayScene:
-        """A ray scene of all triangles, opaque or not, in the asset's frame."""
+        """All triangles for ray queries, opaque or not, in the asset's frame."""
         return RayScene(self.vertices, self.faces)
 
 
@@ -190,9 +190,9 @@ def _is_opaque(asset: GeometryAsset, material: str) -> bool:
 
 
 class PackageCache(Generic[T]):
-    """Cache of what ``make`` returns for packages, by their hash.
+    """Least-recently-used cache of the results of ``make``, keyed by the package's hash.
 
-    It keeps the most recent results, whose ``weight`` has a sum of at most ``limit``, and always the last.
+    The sum of the results' ``weight`` is at most ``limit``, unless a single result exceeds it.
     """
 
     def __init__(
@@ -230,21 +230,21 @@ class CollisionModel:
         self._fcl = fcl
 
     def at(self, rotation: Floats | None = None, translation: Floats | None = None) -> Any:
-        """An FCL collision object of this model under a rotation (3, 3) and translation (3,)."""
+        """Return an FCL collision object of this model at a rotation (3, 3) and translation (3,)."""
         rotation = np.eye(3) if rotation is None else rotation
         translation = np.zeros(3) if translation is None else translation
         return self._fcl.CollisionObject(self._model, self._fcl.Transform(rotation, translation))
 
 
 def intersects(one: Any, other: Any) -> bool:
-    """Whether the surfaces of two FCL collision objects intersect."""
+    """Return whether the surfaces of two FCL collision objects intersect."""
     import fcl
 
     return fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult()) > 0
 
 
 def distance_m(one: Any, other: Any) -> float:
-    """Minimum distance between the surfaces of two FCL collision objects; 0 if they intersect."""
+    """Return the minimum distance between the surfaces of two FCL collision objects; 0 if they intersect."""
     import fcl
 
     if intersects(one, other):
@@ -253,13 +253,13 @@ def distance_m(one: Any, other: Any) -> float:
 
 
 def direction_of(azimuth_rad: float, elevation_rad: float) -> Floats:
-    """Unit direction (3,) with an azimuth from +X towards +Y and an elevation above the horizon."""
+    """Return the unit vector (3,) with an azimuth from +X towards +Y and an elevation above the horizon."""
     flat = math.cos(elevation_rad)
     return np.array([flat * math.cos(azimuth_rad), flat * math.sin(azimuth_rad), math.sin(elevation_rad)])
 
 
 def world_points(world_from_asset: ArrayLike, points: Floats) -> Floats:
-    """Points (N, 3) transformed by an affine matrix (4, 4)."""
+    """Transform points (N, 3) by an affine matrix (4, 4)."""
     matrix = np.asarray(world_from_asset, dtype=np.float64)
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
@@ -292,6 +292,6 @@ class WorldScene:
         )
 
     def rows_of_faces(self, tables: list[Floats]) -> Floats:
-        """Rows (M, ...) of the triangles in ``tables``, one per item, with a row per part of its asset."""
+        """Look up a row for each triangle, (M, ...), in ``tables``: one per item, with one row per part."""
         starts = np.cumsum([0] + [len(table) for table in tables[:-1]])
         return np.concatenate(tables)[starts[self.item_of_face] + self.part_of_face]

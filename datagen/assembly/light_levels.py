@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Sets the intensity of each group of lights by path tracing in the furnished room.
 
-The path tracer computes each group's contribution to the mean irradiance at camera positions. Shares are
-drawn log-uniformly, each from its range, and scaled to sum to the irradiance drawn from the recipe. Groups
-without contribution are dropped and counted. If the recipe has panoramas, lamps are white-balanced.
+The path tracer computes each group's contribution to the mean irradiance at camera positions. Each group's
+share is drawn log-uniformly; shares are normalised and multiplied by a mean irradiance drawn from the recipe.
+Groups without contribution are dropped and counted. If the recipe has panoramas, lamps are white-balanced.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ _NEGLIGIBLE = 1e-9  # nominal irradiance relative to the strongest group, below 
 class Lighting:
     """Lights at final intensity and, for each asset, the radiance of its emissive slots in W/(m² sr).
 
-    ``gains`` contains the factor of each group of ``probe``; ``mean_irradiance`` is in W/m².
+    ``gains`` are the intensities of the groups of ``probe``, relative to nominal; ``mean_irradiance`` is at
+    the camera positions, in W/m².
     """
 
     lights: tuple[Light, ...]
@@ -43,7 +44,7 @@ class Lighting:
     mean_irradiance: float
 
     def shows_light(self, origins: Floats, directions: Floats, hits: Hits) -> NDArray[np.bool_]:
-        """Mask (R,) of rays (R, 3) whose first hit is on an emissive triangle or visible area light."""
+        """Mask (R,) of rays (R, 3) that hit an emissive triangle or, before ``hits``, a visible light."""
         shown = np.zeros(len(directions), dtype=bool)
         for group, gain in zip(self.probe.groups, self.gains, strict=True):
             if gain > 0 and group.emitters is not None:
@@ -122,7 +123,7 @@ def _named(lights: list[Light]) -> tuple[Light, ...]:
 def _emission(
     room: RoomToLight, groups: list[PlannedGroup], gains: list[float], tint: Tint
 ) -> tuple[dict[str, tuple[float, float, float]], ...]:
-    """Map the emissive slots of each placed asset to their radiance, which is 0 for slots of no group."""
+    """Map the emissive slots of each placed asset to their radiance; slots outside all groups are off (0)."""
     gain_of = {slot: gain for group, gain in zip(groups, gains, strict=True) for slot in group.slots}
     emission = []
     for item, asset in enumerate(room.assets):
@@ -140,7 +141,7 @@ def _emission(
 def _probe(
     room: RoomToLight, groups: list[PlannedGroup], library: Library, key: tuple[int | str, ...]
 ) -> tuple[LightProbe, Floats]:
-    """Return the probe of a room and the irradiance (P, G, 3) of each group at camera positions."""
+    """Return the path tracer of a room and the irradiance (P, G, 3) of each group at camera positions."""
     probe = LightProbe(
         room.scene,
         _albedo_of_faces(room),
@@ -179,7 +180,7 @@ def _emitters(room: RoomToLight, group: PlannedGroup) -> Emitters | None:
 
 
 def _albedo_of_faces(room: RoomToLight) -> Floats:
-    """Albedo (M, 3), D (1 - S) + S, of the material assigned to each triangle, limited to 0.95."""
+    """Return the albedo (M, 3), D (1 - S) + S, of the material assigned to each triangle, at most 0.95."""
     tables = []
     for asset, assigned in zip(room.assets, room.assigned, strict=True):
         rows = []

@@ -2,8 +2,8 @@
 """A small diffuse path tracer that sets light intensities and detects dark views.
 
 Surfaces are diffuse with albedo D (1 - S) + S, the reflectance of the project's BSDF at normal incidence.
-Radiance is returned per group of lights, so one run serves all intensities. A few thousand paths take a tenth
-of a second, with a relative error of about 10 %; the result is a pure function of the arguments.
+Radiance is returned separately for each group of lights, so that intensities can be changed without tracing
+again. A few thousand paths take 0.1 s, with a relative error of about 10 %. Results are deterministic.
 Shapes: M triangles, R rays, P points, G groups.
 """
 
@@ -51,7 +51,7 @@ class Emitters:
 
 @dataclass(frozen=True)
 class LightGroup:
-    """Lights scaled together; ``sky`` is the radiance from outside the scene, excluding ``suns``."""
+    """Lights with a common intensity factor; ``sky`` is the radiance from outside, without the ``suns``."""
 
     lights: tuple[Light, ...] = ()
     emitters: Emitters | None = None
@@ -86,10 +86,10 @@ class LightProbe:
         return direct + math.pi * indirect.reshape(shape).mean(axis=1)
 
     def radiance(self, origins: Floats, directions: Floats, draws: Draws) -> Floats:
-        """Radiance (R, G, 3) along rays (R, 3), without lights and emitters that the rays hit directly.
+        """Radiance (R, G, 3) along rays (R, 3), without the emission of lights and emitters hit directly.
 
-        Light through openings is sampled at the openings. Rays that leave the scene elsewhere, even before
-        the first bounce, add the radiance of the sky.
+        Light through openings is sampled at the openings (next-event estimation). Rays that leave the scene
+        elsewhere, even before the first bounce, add the radiance of the sky.
         """
         count = len(origins)
         total = np.zeros((count, len(self.groups), 3))
@@ -198,8 +198,8 @@ class _Sample:
 
 @dataclass(frozen=True)
 class Rectangle:
-    """An opening or flat light: corner ``origin``, edges ``u`` and ``v`` in metres, unit ``normal`` into the
-    room, ``area`` in m².
+    """An opening or flat light: corner ``origin`` and edges ``u`` and ``v`` in metres, unit ``normal`` that
+    points into the room, ``area`` in m².
     """
 
     origin: Floats
@@ -210,7 +210,7 @@ class Rectangle:
 
     @classmethod
     def of(cls, opening: Opening | AreaLight) -> Rectangle:
-        """The rectangle spanned by the edges of an opening or area light."""
+        """Return the rectangle spanned by the edges of an opening or area light."""
         u, v = np.array(opening.edge_u_m), np.array(opening.edge_v_m)
         cross = np.cross(u, v)
         area = float(np.linalg.norm(cross))
@@ -236,7 +236,7 @@ class Rectangle:
 
 
 def _from_surface(points: Floats, on_light: Floats, normals: Floats, radiance_area: Floats) -> _Sample:
-    """Convert points ``on_light`` (R, 3), on one-sided lights, to samples for ``points`` (R, 3).
+    """Convert positions ``on_light`` (R, 3) on one-sided lights to light samples for ``points`` (R, 3).
 
     ``radiance_area`` (R, 3) or (1, 3) is the radiance divided by the probability density per area.
     """

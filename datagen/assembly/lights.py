@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Chooses lights, their positions and colours; ``light_levels`` sets their intensities.
 
-Lights form groups that are scaled together: all lights of assets, each area light of a slot, each point
-light, and daylight.
+Lights form groups with a common intensity factor: the assets' own lights are one group; each added area or
+point light, and daylight, is another.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ _DIRECT_SUN_PROBABILITY = 0.6
 _PANEL_DROP_M = 0.03  # a ceiling panel hangs this far below the ceiling
 _PANEL_SIDE_M = (0.3, 1.0)
 _MIN_LIGHT_CLEARANCE_M = 0.05
-_MAX_BACKS = 0.85  # share of rays that hit back faces: higher inside walls, lower in single-sheet lampshades
+_MAX_BACKS = 0.85  # a point is in a solid if more rays hit back faces; single-sheet lampshades stay below
 _PANEL_TRIES = 60
 
 
 @dataclass(frozen=True)
 class PlannedGroup:
-    """Lights scaled together; ``slots`` are emissive slots as (asset index, slot), with the room at index 0.
+    """Lights with a common intensity factor; ``slots`` are emissive slots as (asset index, slot), room first.
 
-    ``share`` is the range of the group's share of the irradiance, relative to the shares of other groups.
+    ``share`` is the range of the group's share of the irradiance, before the groups' shares are normalised.
     """
 
     name: str
@@ -55,8 +55,8 @@ class PlannedGroup:
 class RoomToLight:
     """A scene to light; ``placed``, ``assets`` and ``assigned`` have one entry per asset, the room first.
 
-    ``assigned`` are mean materials by slot, ``eyes`` are camera positions (P, 3). ``has_solid_backs`` states
-    whether hits on back faces indicate the inside of a solid.
+    ``assigned`` are mean materials by slot, ``eyes`` are possible camera positions (P, 3).
+    ``has_solid_backs`` is true if hits on back faces indicate the inside of a solid.
     """
 
     environment: EnvironmentAsset
@@ -116,7 +116,7 @@ def plan_lights(
 def _without_overlap(
     fresh: list[PlannedGroup], groups: list[PlannedGroup], rejections: Counter[str]
 ) -> list[PlannedGroup]:
-    """Return the groups of ``fresh`` whose area lights overlap none in ``groups``; count the others."""
+    """Return ``fresh`` without groups whose area lights overlap one in ``groups``, which are counted."""
     kept = []
     for group in fresh:
         others = [light for other in groups for light in other.lights if isinstance(light, AreaLight)]
@@ -128,7 +128,7 @@ def _without_overlap(
 
 
 def _overlap(one: AreaLight, other: AreaLight) -> bool:
-    """Whether two area lights are coplanar within 2 cm and overlap."""
+    """Return whether two area lights are coplanar within 2 cm and overlap."""
     side, own = Rectangle.of(other), Rectangle.of(one)
     middle = own.middle - side.origin
     if abs(float(middle @ side.normal)) > 0.02:
@@ -200,7 +200,7 @@ def _vector(value: Floats) -> tuple[float, float, float]:
 
 
 def is_blocked(light: AreaLight, rays: RayScene) -> bool:
-    """Whether geometry intersects an area light, or is within 15 cm in front of over a quarter of it."""
+    """Return whether geometry intersects an area light, or is within 15 cm in front of over 25 % of it."""
     side = Rectangle.of(light)
     u, v, normal = side.u, side.v, side.normal
     steps = (np.arange(4) + 0.5) / 4
@@ -219,7 +219,7 @@ def is_blocked(light: AreaLight, rays: RayScene) -> bool:
 def plan_panels(
     room: RoomToLight, recipe: LightRecipe, count: int, draws: Draws, rejections: Counter[str]
 ) -> list[PlannedGroup]:
-    """Draw up to ``count`` area lights below the ceiling, above camera positions; each is a group."""
+    """Draw up to ``count`` groups of one area light each, below the ceiling and above a camera position."""
     groups: list[PlannedGroup] = []
     for _ in range(_PANEL_TRIES if len(room.eyes) else 0):
         if len(groups) == count:
@@ -272,7 +272,7 @@ def _point(
 
 
 def _point_fault(position: Floats, room: RoomToLight) -> str:
-    """Reason to reject a point light at ``position`` (3,): ``inside_solid``, ``blocked`` or '' for none."""
+    """Return the fault of a point light at ``position`` (3,): ``inside_solid``, ``blocked`` or ''."""
     directions = fibonacci_sphere(48)
     hits = room.scene.rays.cast(position, directions)
     if room.has_solid_backs and room.scene.rays.is_back_hit(hits, directions).mean() > _MAX_BACKS:
@@ -288,7 +288,7 @@ def _panorama(daytime: Daytime, library: Library, draws: Draws) -> list[PlannedG
 def _daylight(
     room: RoomToLight, recipe: LightRecipe, library: Library, draws: Draws, rejections: Counter[str]
 ) -> list[PlannedGroup]:
-    """Draw a group with a sky and sun, or with an environment image; return none if there are no openings."""
+    """Draw a group with a sky and sun, or with an environment image; return [] if there are no openings."""
     openings = room.environment.openings
     images = sorted(recipe.environment_images)
     wants_image, pick, turn = draws.chance(0.5), draws.unit(), draws.uniform(-math.pi, math.pi)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Assigns materials as in real homes, by kind of surface and in one style per room.
 
-A look of a slot's surface (:data:`datagen.assembly.looks.LOOKS`) is eligible if it matches the room's style
-and the palette contains a material that fits the slot and can be varied into the look's ranges. A look is
-drawn by weight, then a material, then a point in the ranges. A slot that keeps its material gets a small
-variation, within a look if the material matches one.
+The *palette* is the list of available materials. A *look* is a material class with ranges of D, S and R. A
+look of a slot's kind of surface (:data:`datagen.assembly.looks.LOOKS`) is eligible if it matches the room's
+style and some palette material fits the slot and can be varied into the look's ranges. A look is drawn by
+weight, then a material, then a point in the ranges. A slot that keeps its material gets a small variation.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _OWN_VALUE, _OWN_SATURATION, _OWN_ROUGHNESS = 1.15, 1.1, 0.05
 
 @dataclass(frozen=True)
 class Reach:
-    """Ranges of the colour adjustments that move a material's mean D and R into the ranges of a look."""
+    """Ranges of the colour adjustments that bring a material's mean D and R into the ranges of a look."""
 
     hue_shift: Interval
     saturation_scale: Interval
@@ -49,9 +49,9 @@ class Reach:
     roughness_offset: Interval
 
     def at(self, where: NDArray[np.float64], strength: float) -> ColorAdjustment:
-        """Return the adjustment at the fractions ``where`` (4,), in [0, 1], of the ranges, in their order.
+        """Return the adjustment at fractions ``where`` (4,) in [0, 1] of the four ranges.
 
-        ``strength`` in [0, 1] interpolates from the value of each range that is nearest to no change.
+        ``strength`` in [0, 1] interpolates to it from the smallest adjustment within the ranges.
         """
 
         def pick(interval: Interval, at: float, still: float) -> float:
@@ -69,7 +69,7 @@ class Reach:
 
 
 def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
-    """Ranges of the adjustments that move a material's means into the ranges of a look; None if none does.
+    """Return the ranges of adjustments that bring a material's means into a look's ranges, or None.
 
     The limits of the class are widened for untextured materials of classes with a wide range of hues.
     """
@@ -107,7 +107,7 @@ def _common(one: Interval, other: Interval) -> Interval | None:
 
 
 def _scales(wanted: Interval, own: float, stain: float, max_factor: float) -> Interval | None:
-    """Range of factors that scale ``own`` into ``wanted``; None if it is empty.
+    """Return the range of factors that scale ``own`` into ``wanted``; None if it is empty.
 
     Factors are between 1 / max(``max_factor``, ``stain``) and ``max_factor``.
     """
@@ -125,7 +125,7 @@ class _Choice:
 
 
 class LikelyMaterials:
-    """Assigns materials of ``palette`` to all assets of a configuration in one style."""
+    """Assigns materials of ``palette`` to the assets of a configuration, all in one style."""
 
     def __init__(
         self, style: RoomStyle, palette: list[Package], recipe: MaterialRecipe, means: MeanMaterials
@@ -142,11 +142,10 @@ class LikelyMaterials:
         draws: Draws,
         foreign_slots: frozenset[tuple[str, str]] = frozenset(),
     ) -> dict[str, MaterialAssignment]:
-        """Draw the materials of the slots of one placed asset; slots that keep theirs unchanged are absent.
+        """Draw the materials of the slots of one placed asset; omit slots that keep theirs unchanged.
 
         ``surfaces`` maps each slot to its kind of surface. A slot in ``foreign_slots`` (asset id, slot) keeps
-        its material only if no material of the palette fits. The number of draws does not depend on the
-        palette.
+        its material only if no palette material fits. The number of draws does not depend on the palette.
         """
         asset = package.as_kind(GeometryAsset)
         found: dict[str, MaterialAssignment] = {}

@@ -116,6 +116,6 @@ class Look:
 
 
 KEPT: dict[Surface, float] = {"cover": 0.7, "frame": 0.3, "joinery": 0.3}
-"""Probability, by kind of surface, that a material to be replaced is kept; book covers thus stay varied."""
+"""Probability, by kind of surface, of keeping a material that would be replaced; book covers stay varied."""
 LOOKS = read_table(__file__, "looks.yaml", dict[Surface, tuple[Look, ...]])
 """Looks by kind of surface. Surfaces without looks, such as ``small``, take any class that suits the slot."""

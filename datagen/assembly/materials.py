@@ -80,13 +80,13 @@ class MeanMaterial:
 
 
 class MeanMaterials:
-    """Computes averages of materials; those of textures are cached."""
+    """Computes averages of materials; averages of textures are cached."""
 
     def __init__(self) -> None:
         self._means: dict[tuple[str, str, bool], Color] = {}
 
     def mean(self, package: Package, material: Material) -> MeanMaterial:
-        """Averages of a material of a package, before any adjustment."""
+        """Return the averages of a material of a package, before any adjustment."""
 
         def color(value: Color | Texture) -> Color:
             return self._texture(package, value, False) if isinstance(value, Texture) else value
@@ -111,7 +111,7 @@ class MeanMaterials:
 
 
 def adjusted(mean: MeanMaterial, adjustment: ColorAdjustment) -> MeanMaterial:
-    """Means of a material after an adjustment; approximate if the material has textures."""
+    """Return the means of a material after an adjustment; approximate if the material has textures."""
 
     def turned(color: Color, value_scale: float) -> Color:
         hue, saturation, value = colorsys.rgb_to_hsv(*color)
@@ -154,13 +154,13 @@ def _clamped(moved: float, start: float, low: float, high: float) -> float:
 
 
 def suits(material: MaterialAsset, slot: str, asset: GeometryAsset) -> bool:
-    """Whether a slot accepts a material's main class and the material is assignable to the slot."""
+    """Return whether a slot accepts a material's main class and the material is assignable to the slot."""
     has_class = material.material.classes[0] in asset.materials[slot].replaceable_by
     return has_class and is_assignable(material, slot, asset)
 
 
 def is_assignable(material: MaterialAsset, slot: str, asset: GeometryAsset) -> bool:
-    """Whether a material is opaque, non-emissive and, if textured, tileable while the slot has UVs."""
+    """Return whether a material is opaque, non-emissive and, if textured, tileable on a slot with UVs."""
     own = material.material
     if own.emission is not None or own.opacity is not None:
         return False
@@ -171,7 +171,7 @@ def is_assignable(material: MaterialAsset, slot: str, asset: GeometryAsset) -> b
 
 
 def is_plain(package: Package) -> bool:
-    """Whether a package is an untextured, opaque, non-emissive material, which is assignable to any slot."""
+    """Return whether a package is an untextured, opaque, non-emissive material, which any slot can have."""
     asset = package.asset
     if not isinstance(asset, MaterialAsset):
         return False
@@ -196,12 +196,12 @@ def assign_materials(
     draws: Draws,
     foreign_slots: frozenset[tuple[str, str]] = frozenset(),
 ) -> dict[str, MaterialAssignment]:
-    """Draw the materials of the slots of one placed asset; slots that keep theirs unchanged are absent.
+    """Draw the materials of the slots of one placed asset; omit slots that keep theirs unchanged.
 
     ``palette`` is the list of material packages in a fixed order. A class is drawn first, then one of its
-    materials, so that large classes do not dominate. ``foreign_slots`` (asset id, slot) must not keep their
-    material, which has an image of another split or is a placeholder; they get one without textures if no
-    other fits. Other slots keep their material if none fits. Slots with bakes of one material
+    materials, so that large classes do not dominate. The material of a slot in ``foreign_slots`` (asset id,
+    slot) has an image of another split or is a placeholder, and must be replaced, if need be by one without
+    textures. Other slots keep their material if none fits. Slots with bakes of one material
     (``baked_from``) get the same assignment.
     """
     asset = package.as_kind(GeometryAsset)

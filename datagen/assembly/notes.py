@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Notes on valid but unusual content of recipes and libraries, to report it before work starts."""
+"""Notes on valid but unusual content of recipes and libraries, reported before work starts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def notes_before(recipe: Recipe, library: Library) -> list[str]:
 
 
 def implausible_sizes(recipe: Recipe, library: Library) -> list[str]:
-    """One sentence per available object whose size is implausible for its category, sorted by id."""
+    """Return a sentence per available object whose size is implausible for its category, sorted by id."""
     found = []
     for package in packages_in_use(recipe, library, "objects"):
         if fault := size_fault(package.as_kind(ObjectAsset)):
@@ -36,9 +36,9 @@ def implausible_sizes(recipe: Recipe, library: Library) -> list[str]:
 
 
 def unplaceable(recipe: Recipe, library: Library) -> dict[str, str]:
-    """Reason and remedy by id of available objects that are unstable or fit in none of the recipe's rooms.
+    """Map the ids of objects that are unstable or fit in none of the recipe's rooms to reason and remedy.
 
-    An object is placeable if, in any split that contains it, a room has a surface for it.
+    It suffices that an object fits in a room of one of the splits that may contain it.
     """
     if recipe.objects.count[1] == 0:
         return {}
@@ -66,7 +66,7 @@ def unplaceable(recipe: Recipe, library: Library) -> dict[str, str]:
 
 
 def _why_no_surface(asset: ObjectAsset, rooms: list[EnvironmentAsset]) -> str:
-    """The reason why no room has a surface for the object, with the remedy; '' if a room has one."""
+    """Return why no room has a surface for the object, and the remedy; '' if a room has one."""
     if any(surfaces_for(asset, room) for room in rooms):
         return ""
     if not asset.supports:
@@ -89,7 +89,7 @@ def _why_no_surface(asset: ObjectAsset, rooms: list[EnvironmentAsset]) -> str:
 
 
 def rooms_without_sky(recipe: Recipe, library: Library) -> list[str]:
-    """Describe in one sentence per skyless room how it gets daylight; empty if the recipe has no daylight."""
+    """Return a sentence per room without a sky on how daylight enters it; [] if the recipe has none."""
     lights = recipe.lights
     if not recipe.environments.needs_library or (
         lights.panoramas is None and not lights.daylight_probability

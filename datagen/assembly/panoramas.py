@@ -21,7 +21,7 @@ OUTSIDE_SHARE: dict[Daytime, tuple[float, float]] = {
     "dusk": (0.02, 0.15),
     "night": (5e-4, 4e-3),
 }
-"""Range of the panorama's share of the irradiance, relative to lamp shares; at night from street lights."""
+"""Range of the panorama's share of the irradiance, relative to lamp shares; at night, only street lights."""
 DARK: tuple[Daytime, ...] = ("dusk", "night")
 """Times of day at which lamps are always on."""
 
@@ -41,7 +41,7 @@ def draw_daytime(assets: tuple[GeometryAsset, ...], recipe: LightRecipe, draws: 
 
 
 def panoramas_of(library: Library, daytime: Daytime) -> list[PanoramaAsset]:
-    """The library's panoramas of a time of day, sorted by id."""
+    """Return the library's panoramas of a time of day, sorted by id."""
     assets = (package.asset for package in library.select("panorama"))
     return [asset for asset in assets if isinstance(asset, PanoramaAsset) and asset.daytime == daytime]
 

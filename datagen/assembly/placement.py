@@ -27,22 +27,22 @@ from datagen.foundation.random import Draws
 CONTACT_TOLERANCE_M = 2e-3  # points this close to the ground count as contacts
 # objects are raised by this for collision tests, which report coplanar contact as a collision
 MAX_PENETRATION_M = 5e-4
-SURFACE_TOLERANCE_M = 0.02  # largest distance of a declared support from the mesh, such as a rug on a floor
+SURFACE_TOLERANCE_M = 0.02  # largest distance between a declared support and the mesh (a rug on the floor)
 # an object whose centre of mass is nearer to the rim of the contact hull could topple
 MIN_CONTACT_MARGIN_M = 2e-3
 _MIN_UP = 0.98  # poses with a contact on ground tilted by more than 11 degrees are rejected
 _WALL_HEIGHT_M = 0.9  # floor-standing objects above this height are often placed with their back to a wall
 _WALL_PROBABILITY = 0.65
-_ATTEMPTS_PER_SCALE = 12  # since each scale needs a new collision tree (0.5 s for a large mesh)
+_ATTEMPTS_PER_SCALE = 12  # attempts share a scale, since a new one needs a collision tree (up to 0.5 s)
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 
 class Shortfall(InputError):
-    """Raised for too few objects or views; :func:`datagen.assembly.plan.assemble` draws them again."""
+    """Raised for too few objects or views; :func:`datagen.assembly.plan.assemble` then tries again."""
 
 
 def surfaces_for(asset: ObjectAsset, room: EnvironmentAsset) -> list[SupportSurface]:
-    """The room's support surfaces that suit the object and are large enough for its smallest scale."""
+    """Return the room's support surfaces that suit the object and are large enough at its smallest scale."""
     low = np.array(asset.minimum_m) * asset.scale_range[0]
     high = np.array(asset.maximum_m) * asset.scale_range[0]
     size = np.sort((high - low)[:2])
@@ -66,7 +66,7 @@ class Placer:
         self.placed: list[PlacedThing] = []
 
     def place(self, thing: Thing, draws: Draws) -> PlacedThing | None:
-        """Place an object at the first valid of ``max_attempts`` candidates; None if there is none."""
+        """Place an object at the first valid candidate of ``max_attempts``; return None if there is none."""
         surfaces = surfaces_for(thing.asset, self.room.asset)
         if not surfaces:
             self.rejections["placement.no_surface"] += 1
@@ -105,7 +105,7 @@ class Placer:
     def _draw_pose(
         self, thing: Thing, surface: SupportSurface, scale: float, draws: Draws
     ) -> tuple[float, Floats] | None:
-        """Draw yaw and position (2,) with the footprint inside the rectangle; None if it is too large."""
+        """Draw a yaw and position (2,) with the footprint inside the surface; None if it is too large."""
         height = float(thing.geometry.maximum_m[2]) * scale
         likes_wall = surface.kind == "floor" and height > _WALL_HEIGHT_M
         at_wall = draws.chance(_WALL_PROBABILITY) and likes_wall
@@ -136,7 +136,7 @@ class Placer:
         return yaw, corner + u * (du - along_u.min()) + v * (dv - along_v.min())
 
     def _drop(self, thing: Thing, scale: float, yaw: float, position: Floats) -> float | str:
-        """Vertical shift in metres that lets the object rest on the surface, or the reason for rejection."""
+        """Return the vertical shift [m] that puts the object at rest, or the reason for rejection."""
         points = world_points(pose(scale, yaw, position), thing.underside)
         start = points + np.array([0.0, 0.0, SURFACE_TOLERANCE_M])
         down = np.broadcast_to([0.0, 0.0, -1.0], points.shape)
@@ -160,7 +160,7 @@ class Placer:
     def _checked(
         self, thing: Thing, surface: SupportSurface, scale: float, yaw: float, position: Floats
     ) -> PlacedThing | str:
-        """Return the object placed at the given pose or, if it collides there, the reason for rejection."""
+        """Return the object placed at a pose or, if it collides there, the reason for rejection."""
         vertices = world_points(pose(scale, yaw, position), thing.geometry.vertices)
         used = vertices[np.unique(thing.geometry.faces)]
         bounds = np.stack([used.min(axis=0), used.max(axis=0)])
@@ -193,7 +193,7 @@ class Placer:
 
 
 def is_enclosed(inner: PlacedThing, outer: PlacedThing) -> bool:
-    """Whether ``inner``'s box is inside ``outer``'s, and all six axis rays from its centre hit ``outer``."""
+    """Return whether ``inner``'s box is in ``outer``'s and all 6 axis rays from its centre hit ``outer``."""
     if (inner.bounds_m[0] < outer.bounds_m[0]).any() or (inner.bounds_m[1] > outer.bounds_m[1]).any():
         return False
     center = inner.bounds_m.mean(axis=0)
@@ -201,7 +201,7 @@ def is_enclosed(inner: PlacedThing, outer: PlacedThing) -> bool:
 
 
 def _is_inside_solid(points: Floats, rays: RayScene) -> bool:
-    """Whether at least 4 of 6 axis rays hit backs of triangles, for most of 16 sampled points."""
+    """Return whether, for most of 16 sampled points, at least 4 of 6 axis-aligned rays hit back faces."""
     chosen = points[:: max(1, len(points) // 16)][:16]
     origins = np.repeat(chosen, 6, axis=0)
     directions = np.tile(_AXES, (len(chosen), 1))

@@ -34,11 +34,11 @@ from datagen.formats.recipe import Recipe
 from datagen.foundation.random import Draws, digest
 from datagen.library import Library
 
-NUM_EYES = 384  # possible camera positions, at which the irradiance of lights is computed
-NUM_TRIES = 3  # largest number of draws of a configuration with too few objects or views
+NUM_EYES = 384  # number of possible camera positions at which the irradiance of lights is computed
+NUM_TRIES = 3  # a configuration with too few objects or views is drawn up to this many times
 
 
-# caches of a process, shared by all configurations; entries depend only on package contents
+# per-process caches, shared by all configurations; entries depend only on package contents
 _geometry = PackageCache(load_geometry, 6_000_000, lambda g: len(g.faces))  # about 1 GB with Embree's trees
 _room = PackageCache(lambda package: Room(_geometry(package)), 2)
 _thing = PackageCache(lambda package: Thing(package.as_kind(ObjectAsset), _geometry(package)), 200)
@@ -47,15 +47,15 @@ _MEANS = MeanMaterials()
 
 
 def configuration_id(recipe: Recipe, index: int) -> str:
-    """Id of configuration ``index`` of a recipe: the recipe's name and the index in five digits."""
+    """Return the id of configuration ``index``: the recipe's name and the index in five digits."""
     return f"{recipe.name}-{index:05d}"
 
 
 def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:
     """Plan configuration ``index`` of a recipe; equal arguments yield equal ``canonical_json`` bytes.
 
-    If too few objects or views are found, all are drawn again, in the same room or, if it is generated, in
-    another one, up to :data:`NUM_TRIES` draws in total; ``rejections`` counts the repetitions as
+    If too few objects or views are found, the configuration is drawn again, up to :data:`NUM_TRIES` times in
+    total; a generated room is then replaced. ``rejections`` counts the repetitions as
     ``configuration.retried``. A generated room is not in ``library``;
     :func:`datagen.assembly.generated.room_of` returns it. Raises :class:`IndexError` for an index out of
     range, :class:`InputError` if the library cannot satisfy the recipe.
@@ -142,8 +142,9 @@ def _placed_assets(
     pools: Pools,
     library: Library,
 ) -> tuple[list[PlacedAsset], list[Package]]:
-    """Assign materials, drawn to be likely or arbitrary; return the placed assets and their packages, each
-    with the room first."""
+    """Assign *likely* or *wild* materials (see :class:`datagen.formats.recipe.Variation`); return the placed
+    assets and their packages, with the room first.
+    """
     packages = [environment] + [library.package(t.thing.asset.id) for t in things]
     weights, draws = recipe.materials.variation, Draws(*key[:2], "style")
     likely = None
@@ -174,7 +175,7 @@ def _placed_assets(
 
 
 def _library_weights(recipe: Recipe, library: Library, pools: Pools) -> dict[str, tuple[str, float]]:
-    """Map object ids to (library, weight); folders after the recipe's weigh 1. Empty without weights."""
+    """Map object ids to (library, weight), by default 1; empty if the recipe sets no ``library_weights``."""
     wanted = recipe.objects.library_weights
     if not wanted:
         return {}
@@ -196,7 +197,7 @@ def _world(geometries: list[AssetGeometry], placed: list[PlacedAsset]) -> WorldS
 
 
 def world_of(configuration: Configuration, library: Library) -> WorldScene:
-    """The opaque triangles of a configuration's room and objects, in world space."""
+    """Return the opaque triangles of a configuration's room and objects, in world space."""
     placed = [configuration.environment, *configuration.objects]
     return _world([_geometry(library.package(p.asset)) for p in placed], placed)
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Distributes configurations and, with ``splits.disjoint``, assets over train, validation and test.
 
-Splits are interleaved by index in exact arithmetic, so any prefix of a dataset has about the right shares.
+Splits are interleaved by index in exact arithmetic, so any prefix of a dataset has nearly the set shares.
 With ``splits.disjoint``, each pool of assets (environments, objects of one category, materials of one main
 class) is distributed in the order of hashed ids. To prevent leakage through copies, rooms and objects with
 the same largest mesh go to one split, as do materials that share an image. A slot of a room or object whose
@@ -35,7 +35,7 @@ SPLITS: tuple[Split, ...] = ("train", "validation", "test")
 
 @dataclass(frozen=True)
 class Pools:
-    """The packages that a split may use, each list sorted by id."""
+    """The packages from which a split's configurations draw, each list sorted by id."""
 
     environments: list[Package]
     objects: list[Package]
@@ -51,7 +51,7 @@ def _shares(recipe: Recipe) -> dict[Split, Fraction]:
 
 
 def _rounded_share(share: Fraction, count: int) -> int:
-    """``share`` times ``count``, rounded to the nearest integer."""
+    """Return ``share`` times ``count``, rounded to the nearest integer."""
     return (2 * share.numerator * count + share.denominator) // (2 * share.denominator)
 
 
@@ -69,7 +69,7 @@ def split_of(recipe: Recipe, index: int) -> Split:
 
 
 def split_counts(recipe: Recipe) -> dict[Split, int]:
-    """Number of configurations in each split."""
+    """Return the number of configurations in each split."""
     shares = _shares(recipe)
     tests = _rounded_share(shares["test"], recipe.configurations)
     rest = recipe.configurations - tests
@@ -79,7 +79,7 @@ def split_counts(recipe: Recipe) -> dict[Split, int]:
 
 
 def splits_in_use(recipe: Recipe) -> list[Split]:
-    """The splits with at least one configuration."""
+    """Return the splits with at least one configuration."""
     counts = split_counts(recipe)
     return [split for split in SPLITS if counts[split] > 0]
 
@@ -87,7 +87,7 @@ def splits_in_use(recipe: Recipe) -> list[Split]:
 def packages_in_use(
     recipe: Recipe, library: Library, pool: Literal["environments", "objects"]
 ) -> list[Package]:
-    """The packages of a pool that a split in use may contain, sorted by id."""
+    """Return the packages of a pool that any split with configurations may use, sorted by id."""
     of_split = (getattr(pools_of_split(recipe, library, split), pool) for split in splits_in_use(recipe))
     found = {package.id: package for packages in of_split for package in packages}
     return [found[name] for name in sorted(found)]
@@ -97,7 +97,7 @@ _POOLS: WeakKeyDictionary[Library, dict[str, dict[Split, Pools]]] = WeakKeyDicti
 
 
 def pools_of_split(recipe: Recipe, library: Library, split: Split) -> Pools:
-    """Assets that a split may use. Raises as :func:`check_recipe` does."""
+    """Return the assets that a split may use. Raises the same errors as :func:`check_recipe`."""
     per_recipe = _POOLS.setdefault(library, {})
     key = sha256_hex(canonical_json(recipe))
     if key not in per_recipe:
@@ -138,8 +138,8 @@ def _all_pools(recipe: Recipe, library: Library) -> dict[Split, Pools]:
 def partition(recipe: Recipe, pools: Pools) -> dict[str, Split]:
     """Map the id of each asset to its split.
 
-    In each pool, every split in use gets at least one asset if there are enough, training first. Families
-    (assets that share an identifying file) stay together, in the split of their first member.
+    Each kind of asset is partitioned separately; every split with a positive share gets at least one asset if
+    there are enough, training first. Families (assets that share an identifying file) stay together.
     """
     shares = _shares(recipe)
     used = [split for split in SPLITS if shares[split] > 0]
@@ -158,7 +158,7 @@ def partition(recipe: Recipe, pools: Pools) -> dict[str, Split]:
 
 
 def _kinds(pools: Pools) -> list[list[Package]]:
-    """Packages by kind, in the order of distribution: rooms, objects by category, materials by main class."""
+    """Group packages in the order of distribution: rooms, objects by category, materials by main class."""
     groups: dict[tuple[int, str], list[Package]] = {}
     for package in (*pools.environments, *pools.objects, *pools.materials):
         asset, key = package.asset, (0, "")
@@ -189,7 +189,7 @@ def _families(packages: list[Package]) -> dict[str, str]:
 
 
 def _identifying_files(package: Package) -> list[str]:
-    """Names of files that identify an asset: the largest mesh of a room or object, the images of a material.
+    """Return the files that identify an asset: the largest mesh of a room or object, a material's images.
 
     Smaller meshes (a quad, a box) are ignored, since different assets may contain equal ones.
     """
@@ -202,9 +202,9 @@ def _identifying_files(package: Package) -> list[str]:
 
 
 def _foreign_slots(pools: Pools, home: dict[str, Split]) -> frozenset[tuple[str, str]]:
-    """Pairs (asset id, slot) of slots of rooms and objects whose material uses an image of another split.
+    """Return (asset id, slot) of slots of rooms and objects whose material has an image of another split.
 
-    An image belongs to the first material that contains it, else to the first room or object by id that does.
+    An image belongs to the split of the first material that contains it, else of the first room or object.
     """
     hashes: dict[tuple[str, str], str] = {}
     owner: dict[str, str] = {}
@@ -231,10 +231,10 @@ def _materials(package: Package) -> dict[str, Material]:
 
 
 def check_recipe(recipe: Recipe, library: Library) -> None:
-    """Raise :class:`InputError` with the faults that would make a configuration fail.
+    """Raise :class:`InputError` with all faults of a recipe for which a configuration would fail.
 
     These are filters and weights without a match in the library, splits without configurations or assets, a
-    library without rooms, and degenerate shapes.
+    library without rooms, objects or materials that the recipe needs, and degenerate shapes.
     """
     where = f"recipe {recipe.name}"
     problems = _name_problems(recipe, library, where)

@@ -3,9 +3,9 @@
 
     python -m datagen.assembly.surface_statistics LIBRARY [LIBRARY ...]
 
-For each kind of surface (wall, floor, fitting ...) in environments, this prints the number of slots and the
-minimum, area-weighted median and maximum of the value, saturation and hue of their mean D, of the brightest
-channel of their mean S, and of their mean R. Emissive and transparent slots and hues of greys are excluded.
+Prints for each kind of surface (wall, floor, fitting ...) in environments the number and area of slots, and
+the minimum, area-weighted median and maximum over slots of the value, saturation and hue of mean D, of the
+brightest channel of mean S, and of mean R. Emissive and transparent slots and hues of greys are excluded.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def sample_surfaces(library: Library) -> dict[str, list[SurfaceSample]]:
 
 
 def weighted_median(values: list[float], weights: list[float]) -> float:
-    """Lower weighted median of the finite values with positive weight; NaN if there are none."""
+    """Return the lower weighted median of the finite values with positive weight; NaN if there are none."""
     pairs = sorted((v, w) for v, w in zip(values, weights, strict=True) if np.isfinite(v) and w > 0)
     if not pairs:
         return float("nan")

@@ -2,7 +2,7 @@
 """Determines the kind of surface (wall, worktop, curtain ...) of slots.
 
 The declared ``surface`` of a slot takes precedence. A room's other slots are classified by the words in the
-slot's name, in the name of the material of which it is a bake and in the names of its parts, then by the
+slot's name, in the name of the material that it was baked from and in the names of its parts, then by the
 position of its triangles (low and horizontal is a floor), finally by its main class. An object's other slots
 are classified by the slot's name and the object's category.
 """
@@ -33,8 +33,8 @@ _LEVEL = 0.7  # |z| of a unit normal above which a triangle counts as horizontal
 def surface_of_words(text: str) -> Surface | None:
     """Return the kind of surface that the words of a name imply, or None.
 
-    Of several kinds, the first in the table is returned. Words are separated by characters other than letters
-    and by changes from lower to upper case.
+    If words imply several kinds, the first in surfaces.yaml is returned. Words are separated by characters
+    other than letters and by changes from lower to upper case.
     """
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
     words = [word.lower() for word in re.split(r"[^A-Za-z]+", spaced) if word]

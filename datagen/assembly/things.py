@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Objects and rooms as used by placement: footprints, undersides, poses and collisions."""
+"""Objects and rooms prepared for placement: footprints, undersides, poses and collisions."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def convex_hull_2d(points: Floats) -> Floats:
 
 
 def margin_inside(hull: Floats, point: Floats) -> float:
-    """Signed distance of a point (2,) to a convex polygon (K, 2), negative outside; -inf if K < 3."""
+    """Signed distance of a point (2,) to the edges of a hull (K, 2), negative outside; -inf if K < 3."""
     if len(hull) < 3:
         return -math.inf
     edges = np.roll(hull, -1, axis=0) - hull
@@ -79,7 +79,7 @@ class Thing:
 
     @cached_property
     def underside(self) -> Floats:
-        """Points (P, 3) that may touch the ground: low vertices and points on low triangles facing down."""
+        """Points (P, 3) that may touch the ground: low vertices and points on low, down-facing triangles."""
         geometry = self.geometry
         low = geometry.minimum_m[2]
         band = low + max(0.003, 0.03 * float(geometry.maximum_m[2] - low))
@@ -98,9 +98,9 @@ class Thing:
         return points[on_rim | stride]
 
     def can_stand(self, contact_tolerance_m: float) -> bool:
-        """Whether the object is stable on level ground: its centre of mass is above the hull of its contacts.
+        """Return whether the object is stable on level ground: its centre of mass is above its contact hull.
 
-        Contacts are points within the tolerance of the lowest point, at the smallest scale.
+        Contacts are points at most the tolerance above the lowest point, at the smallest scale.
         """
         points = self.underside
         low = float(self.geometry.minimum_m[2])
@@ -112,7 +112,7 @@ class Thing:
         return {}
 
     def collision_at(self, scale: float) -> CollisionModel:
-        """Return the collision model at a scale, which FCL's rigid poses cannot apply."""
+        """Return the collision model of the scaled mesh; FCL's poses are rigid, without scale."""
         if scale not in self._models:
             self._models.clear()  # earlier scales seldom recur
             self._models[scale] = CollisionModel(self.geometry.vertices * scale, self.geometry.faces)
@@ -120,7 +120,7 @@ class Thing:
 
 
 def _lattice(corners: Floats) -> Floats:
-    """Points (7 M, 3) on triangles (M, 3, 3): centroids, edge centres, and one point near each corner."""
+    """Return points (7 M, 3) on triangles (M, 3, 3): centroids, edge midpoints, a point near each corner."""
     if len(corners) == 0:
         return np.zeros((0, 3))
     weights = np.array(
@@ -131,7 +131,7 @@ def _lattice(corners: Floats) -> Floats:
 
 
 def pose(scale: float, yaw_rad: float, position_m: Floats) -> NDArray[np.float64]:
-    """``world_from_asset`` (4, 4) of a uniformly scaled, upright object."""
+    """Return ``world_from_asset`` (4, 4) of a uniformly scaled, upright object."""
     return affine(scale * rotation("z", yaw_rad), position_m)
 
 
@@ -181,9 +181,9 @@ class Room:
         return has_consistent_winding(self.rays, above_supports(self.asset))
 
     def triangles_in(self, bounds_m: Floats, surface: SupportSurface) -> Ints:
-        """Indices of triangles near or above a surface whose bounds intersect the box ``bounds_m`` (2, 3)."""
+        """Return indices of triangles near or above ``surface`` whose boxes intersect ``bounds_m`` (2, 3)."""
         low, high = self._face_bounds
-        if surface not in self._near_surface:  # names may recur
+        if surface not in self._near_surface:  # not keyed by name: names may recur
             u, v, o = (np.array(x) for x in (surface.edge_u_m, surface.edge_v_m, surface.origin_m))
             rim = np.array([o, o + u, o + v, o + u + v])
             bottom, top = rim.min(axis=0) - 0.1, rim.max(axis=0) + 0.1
@@ -193,7 +193,7 @@ class Room:
         return near[((low[near] <= bounds_m[1]) & (high[near] >= bounds_m[0])).all(axis=1)]
 
     def cuts(self, body: Any, bounds_m: Floats, surface: SupportSurface) -> bool:
-        """Whether an FCL collision object with these bounds (2, 3) intersects the room above a surface."""
+        """Return whether an FCL collision object with bounds (2, 3) intersects the room above a surface."""
         near = self.triangles_in(bounds_m, surface)
         if len(near) == 0:
             return False
@@ -201,7 +201,7 @@ class Room:
 
 
 def above_supports(asset: EnvironmentAsset) -> list[Floats]:
-    """Points (3,) up to 0.3 m above the middles of an environment's support surfaces."""
+    """Return a point (3,) up to 0.3 m above the middle of each of an environment's support surfaces."""
     points = []
     for surface in asset.support_surfaces:
         middle = np.array(surface.origin_m) + 0.5 * (np.array(surface.edge_u_m) + np.array(surface.edge_v_m))
@@ -210,7 +210,7 @@ def above_supports(asset: EnvironmentAsset) -> list[Floats]:
 
 
 def has_consistent_winding(rays: RayScene, starts: Sequence[Floats]) -> bool:
-    """Whether over 90 % of the hits of rays in all directions from ``starts``, each (3,), are on front faces.
+    """Return whether over 90 % of the hits of rays in all directions from ``starts`` are on front faces.
 
     Without consistent winding, as in many downloaded scenes, hits on back faces do not indicate solids.
     """
@@ -223,7 +223,7 @@ def has_consistent_winding(rays: RayScene, starts: Sequence[Floats]) -> bool:
 
 @cache
 def fibonacci_sphere(count: int) -> Floats:
-    """Unit directions (count, 3), evenly distributed over the sphere; shared, hence read-only."""
+    """Return unit directions (count, 3) evenly distributed over the sphere; memoised, hence read-only."""
     k = np.arange(count) + 0.5
     z = 1 - 2 * k / count
     angle = math.pi * (1 + math.sqrt(5)) * k

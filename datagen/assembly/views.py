@@ -3,8 +3,8 @@
 
 Candidates are drawn in free space, aimed at objects or across the room, and ray-traced at low resolution.
 Those that are too close, show too little, are too dark or overlap too little with other views are rejected
-and counted. Views are then chosen one by one: of the candidates that overlap enough with the views chosen so
-far, the most different in position and direction, or, for views of rooms, the one with the most overlap.
+and counted. Views are then chosen greedily among the candidates that overlap enough with those chosen so
+far: the most different in pose or, if the recipe's ``subject`` is ``room``, the one with the most overlap.
 Shapes: C candidates, H x W pixels of the low-resolution image, P points.
 """
 
@@ -31,7 +31,7 @@ from datagen.foundation.errors import Problem
 from datagen.foundation.random import Draws
 
 MAX_NEAR_PIXELS = 0.02  # largest share of the image nearer than min_distance_m
-MAX_OPEN_PIXELS = 0.4  # largest share of the image without surface, or directly on a light
+MAX_OPEN_PIXELS = 0.4  # largest share of the image that shows no surface or an emitter
 MIN_CONTENT_PIXELS = 0.04  # minimum share of the image covered by objects and furniture
 # largest share of the surface pixels on only three planes, which rejects views of bare corners and cupboards
 MAX_THREE_PLANES_PIXELS = 0.92
@@ -42,18 +42,18 @@ _LUMINANCE_GRID = (18, 10)
 _LUMINANCE_SAMPLES = 4
 _MAX_PITCH_RAD = math.radians(38.0)
 _ROLL_RAD = math.radians(1.2)  # handheld cameras are not exactly level
-_SHELL_SPAN = 0.7  # a part is wall, floor or ceiling if it spans at least this share of the room in x or y
+_SHELL_SPAN = 0.7  # a part that spans this share of the room in x or y counts as wall, floor or ceiling
 _OVERLAP_POINTS = 400
-_NUM_COMPARED = 12  # number of eligible candidates of which the most different one is chosen
+_NUM_COMPARED = 12  # size of the random subset of eligible candidates whose most different one is chosen
 _MIN_NOVELTY = 0.04  # least difference (:func:`_difference_matrix`) of two chosen views
 _NUM_HEADINGS = 24
 _FARTHEST_M = 8.0
-_WINDOW_DEPTH_M = 1.0  # depth assumed for windows, small to make views of only a window rare
+_WINDOW_DEPTH_M = 1.0  # depth assumed at windows; small, so that views of only a window are rare
 _DEPTH_POWER = 3  # a heading is drawn with a probability proportional to its mean depth to this power
 _ROOM_PITCH_RAD, _ROOM_PITCH_SPREAD_RAD = math.radians(-7.0), math.radians(5.0)
 # overlap above this value does not raise the score of a view, which favours different views
 _ENOUGH_OVERLAP = 0.42
-_NOVELTY_WORTH, _ENOUGH_NOVELTY = 0.5, 0.6  # weight of a view's difference in its score, and its maximum
+_NOVELTY_WORTH, _ENOUGH_NOVELTY = 0.5, 0.6  # weight of a view's difference in its score; its cap
 _ROOM_SHARE = 0.75  # share of the chosen views that show the room itself, if there are enough
 
 
@@ -62,8 +62,8 @@ class Candidate:
     """A camera that passed the single-view checks; ``preview`` is the same camera at low resolution.
 
     ``distance_m`` (H, W) is along the ray, inf for misses; ``points`` (P, 3) are on visible surfaces;
-    ``luminance`` is the mean of the view in W/(m² sr). ``is_room`` is true if the view shows two walls, or a
-    wall and the ceiling.
+    ``luminance`` is the view's mean in W/(m² sr). ``is_room`` is true if the view shows two walls, or a wall
+    and the ceiling.
     """
 
     camera: Camera
@@ -79,7 +79,7 @@ class Subject:
     """Targets of cameras in a scene.
 
     ``object_centers`` (K, 3); ``furniture_faces``: triangle indices of each piece of furniture;
-    ``content_mask``: the scene's instances that are objects or furniture.
+    ``content_mask``: true for the scene's instances that are objects or furniture.
     """
 
     scene: WorldScene
@@ -89,7 +89,7 @@ class Subject:
 
     @classmethod
     def of(cls, scene: WorldScene) -> Subject:
-        """Find the objects and furniture of a scene; parts that span most of the room are walls or floors."""
+        """Find the objects and furniture of a scene: all but the parts that span most of the room."""
         order = np.argsort(scene.instance_of_face, kind="stable")
         instances, starts = np.unique(scene.instance_of_face[order], return_index=True)
         corners = scene.rays.corners[order]
@@ -106,7 +106,7 @@ class Subject:
         return cls(scene, centers, furniture, is_thing)
 
     def draw(self, draws: Draws) -> Floats:
-        """Draw a target (3,): the centre of an object or furniture triangle; without these, any triangle."""
+        """Draw a target (3,): the centre of an object or of a furniture triangle, else of any triangle."""
         pick, u = draws.unit(), draws.units(3)
         if len(self.object_centers) and (pick < 0.65 or not self.furniture_faces):
             return self.object_centers[int(u[0] * len(self.object_centers))]
@@ -120,7 +120,7 @@ class Subject:
 
 @dataclass
 class ViewFinder:
-    """Finds the cameras of a configuration; ``key`` seeds draws, ``rejections`` counts reasons to reject."""
+    """Finds the cameras of a configuration; ``key`` seeds draws, ``rejections`` counts rejection reasons."""
 
     scene: WorldScene
     shell: Shell
@@ -247,7 +247,7 @@ class ViewFinder:
         return Candidate(camera, preview, hits.distance_m.reshape(shape), points, is_room=is_room)
 
     def _shows_enough(self, faces: NDArray[np.int64], num_pixels: int, subject: Subject) -> bool:
-        """Whether pixels whose rays hit triangles ``faces`` show enough instances, objects and furniture."""
+        """Return whether a view whose rays hit the triangles ``faces`` shows enough objects and furniture."""
         pixels = np.bincount(self.scene.instance_of_face[faces], minlength=self.scene.num_instances)
         num_seen = int((pixels >= max(2.0, _MIN_INSTANCE_PIXELS * num_pixels)).sum())
         if num_seen < self.recipe.min_content:
@@ -265,7 +265,7 @@ class ViewFinder:
         return np.sort(np.unique(keys, return_counts=True)[1])[::-1]
 
     def _aim(self, position: Floats, target: Floats, draws: Draws) -> Camera:
-        """A camera at ``position`` with the target near the middle of its image."""
+        """Return a camera at ``position`` with the target near the middle of its image."""
         width, height = self.resolution
         fov = math.radians(draws.uniform(*self.recipe.fov_x_deg))
         offset = target - position
@@ -276,7 +276,7 @@ class ViewFinder:
         return self._hand_held(position, fov, azimuth, pitch, draws)
 
     def _aim_across(self, position: Floats, draws: Draws) -> Camera:
-        """A camera pitched slightly down, aimed preferably in directions in which the room is deep."""
+        """Return a camera pitched slightly down, preferably aimed where the room is deep."""
         fov = math.radians(draws.uniform(*self.recipe.fov_x_deg))
         headings = draws.unit() * 2 * math.pi + np.arange(_NUM_HEADINGS) * 2 * math.pi / _NUM_HEADINGS
         level = np.stack([np.cos(headings), np.sin(headings), np.zeros(_NUM_HEADINGS)], axis=1)
@@ -292,7 +292,7 @@ class ViewFinder:
         return self._hand_held(position, fov, azimuth, pitch, draws)
 
     def _hand_held(self, position: Floats, fov: float, azimuth: float, pitch: float, draws: Draws) -> Camera:
-        """A camera with the given angles in radians and a random roll of up to 3 degrees, as if hand-held."""
+        """Return a camera with these angles [rad] and, as if hand-held, a random roll of up to 3 degrees."""
         width, height = self.resolution
         focal = quantized(0.5 * width / math.tan(0.5 * fov), 9)
         roll = min(max(draws.normal(), -2.5), 2.5) * _ROLL_RAD
@@ -316,7 +316,7 @@ class ViewFinder:
             candidate.luminance = value
 
     def _bright_enough(self, pool: list[Candidate]) -> list[int]:
-        """Indices of the candidates with at least ``min_luminance`` times the median luminance."""
+        """Return the indices of candidates of at least ``min_luminance`` times the median luminance."""
         if not pool:
             return []
         luminance = np.array([c.luminance for c in pool])
@@ -325,7 +325,7 @@ class ViewFinder:
 
 
 def overlap_matrix(pool: list[Candidate], rays: RayScene, known: Floats | None = None) -> Floats:
-    """Share (C, C) of the points of view i (row) that are visible in view j (column); 0 on the diagonal.
+    """Compute the share (C, C) of the points of view i (row) visible in view j (column); 0 on the diagonal.
 
     ``known`` (K, K) is the matrix of the first K views, if already computed.
     """
@@ -382,7 +382,7 @@ def choose_views(
 def choose_overlapping(
     pool: list[Candidate], overlap: Floats, count: int, min_overlap: float
 ) -> tuple[list[int], int]:
-    """Like :func:`choose_views`, but the view with the largest overlap with the chosen views is chosen next.
+    """Choose views as :func:`choose_views` does, but in order of a score that rewards overlap.
 
     The score of a view is its mean overlap with the chosen views in both directions, up to
     :data:`_ENOUGH_OVERLAP`, plus a bonus for difference. Views that show the room (``is_room``) come first
@@ -412,7 +412,7 @@ def choose_overlapping(
 
 
 def _difference_matrix(pool: list[Candidate]) -> Floats:
-    """Difference (C, C) of each pair of views: distance over the extent of positions, plus angle over π."""
+    """Compute the difference (C, C) of views: distance over the extent of positions, plus angle over π."""
     positions = np.array([c.camera.position_m for c in pool])
     forwards = np.array([c.camera.forward for c in pool])
     extent = max(float(np.linalg.norm(positions.max(axis=0) - positions.min(axis=0))), 1e-6)

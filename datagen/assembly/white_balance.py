@@ -17,7 +17,7 @@ from datagen.foundation.color import color_of_temperature
 
 ADAPTATION = 0.7  # fraction of the full shift to white in mireds; below 1, as cameras keep lamps warm
 _WHITE_MIRED = 1e6 / 6500
-# up to the warmest light that is corrected, at the end of a camera's range
+# from white to 2000 K, the warmest light that a camera's white balance corrects
 _MIREDS = np.linspace(_WHITE_MIRED, 1e6 / 2000, 64)
 Tint = tuple[float, float, float]
 NO_TINT: Tint = (1.0, 1.0, 1.0)
