@@ -2,8 +2,8 @@
 """Finds faults of a furnished room, measured on the shapes that will be rendered.
 
 Furniture must rest on a support and not intersect, doors must open, windows stay free, and a person must be
-able to walk from every door to the front of every cupboard. Lengths are in metres; each box bounds the
-vertices of a single shape (a leg, a board).
+able to walk from every door to the front of every cupboard. Lengths are in metres. Items are tested by the
+boxes that bound the vertices of each of their shapes (a leg, a board).
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from datagen.parametric.shapes import Floats
 from datagen.parametric.shell import Shell, swing
 
 CELL_M = 0.05
-BODY_M = 0.24  # radius of the floor area that a person occupies
+BODY_M = 0.24  # radius of the disc that a walking person occupies
 CONTACT_M = 0.004  # maximum distance of an item from the support on which it rests
-OVERLAP_M = 0.0015  # smaller overlaps count as contact
+OVERLAP_M = 0.0015  # boxes that overlap by less are in contact, not in collision
 MIN_WALKABLE_M2 = 1.1
 _THRESHOLD_M = 0.5  # distance from a door at which a person must be able to stand
 _LOW_M, _HIGH_M = 0.05, 1.85  # height range of obstacles for a walking person
@@ -41,7 +41,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Furnished:
-    """A room to check: shell, built-in items, furniture."""
+    """A room to check; ``built`` are the parts of the shell as items, ``items`` the furniture."""
 
     shell: Shell
     built: tuple[Placed, ...]
@@ -88,7 +88,7 @@ def _floating(room: Furnished, bounds: list[Floats]) -> list[Fault]:
 def _gap(
     shell: Shell, item: Placed, b: Floats, by_name: dict[str, tuple[Placed, Floats]]
 ) -> tuple[float, str]:
-    """Return an item's distance in metres from its support (inf if beside it), and the support's name."""
+    """Return the distance [m] of an item from its support, inf if not above it, and the support's name."""
     if item.item.hold == "ceiling":
         return abs(shell.height - float(b[1, 2])), "the ceiling"
     if item.item.hold == "wall":
@@ -133,7 +133,7 @@ def meets(one: Floats, other: Floats, margin: float = 0.0) -> bool:
 
 
 def overlap(one: Floats, other: Floats) -> float:
-    """Return the deepest overlap in metres of boxes (k, 2, 3) of two items; negative if all are disjoint."""
+    """Return the penetration depth [m] of two items, given as boxes (k, 2, 3); negative if disjoint."""
     low = np.maximum(one[:, None, 0], other[None, :, 0])
     high = np.minimum(one[:, None, 1], other[None, :, 1])
     return float((high - low).min(axis=2).max())
@@ -173,7 +173,7 @@ def _window_zone(shell: Shell, k: int) -> Floats:
 
 
 def _in_sector(box: Floats, sector: Floats, radius: float) -> bool:
-    """Return whether a box (2, 3) overlaps the quarter disc with corners ``sector``, hinge first."""
+    """Return whether a box (2, 3) overlaps the quarter disc with outline ``sector`` (k, 2), centre first."""
     hinge, rest = sector[0], sector[1:]
     low, high = rest.min(axis=0), rest.max(axis=0)
     low, high = np.minimum(low, hinge) + 1e-3, np.maximum(high, hinge) - 1e-3
@@ -184,7 +184,7 @@ def _in_sector(box: Floats, sector: Floats, radius: float) -> bool:
 
 
 def free_cells(shell: Shell, boxes: Floats) -> NDArray[np.bool_]:
-    """Return the mask (rows along y, columns along x) of the floor cells where a person can stand."""
+    """Return the mask (rows along y, columns along x) of the 5 cm floor cells where a person can stand."""
     from scipy.ndimage import distance_transform_edt
 
     columns, rows = int(shell.width / CELL_M), int(shell.depth / CELL_M)
@@ -204,7 +204,7 @@ def free_cells(shell: Shell, boxes: Floats) -> NDArray[np.bool_]:
 
 
 def walkable(shell: Shell, boxes: Floats) -> tuple[NDArray[np.bool_], str]:
-    """Return the mask (rows, columns) of the cells reachable from all doors, and a fault or ''."""
+    """Return the mask (rows, columns) of the floor cells reachable from all doors, and a fault or ''."""
     from scipy.ndimage import label
 
     free = free_cells(shell, boxes)
@@ -228,12 +228,12 @@ def walkable(shell: Shell, boxes: Floats) -> tuple[NDArray[np.bool_], str]:
 
 
 def cell_of(shell: Shell, place: tuple[float, float]) -> tuple[int, int]:
-    """Return the row and column of the cell at a floor position (x, y)."""
+    """Return the row and column of the floor cell at a position (x, y)."""
     return int((place[1] + shell.depth / 2) / CELL_M), int((place[0] + shell.width / 2) / CELL_M)
 
 
 def front_zone(item: Placed, depth: float) -> Floats:
-    """Return the corners (2, 2) of the floor area up to ``depth`` metres in front of an item."""
+    """Return the extreme corners (2, 2) of the floor area up to ``depth`` metres in front of an item."""
     b = item.item.bounds
     corners = np.array([[x, y, 0.0] for x in b[:, 0] for y in (b[0, 1], b[0, 1] - depth)])
     matrix = item.room_from_item
@@ -242,7 +242,7 @@ def front_zone(item: Placed, depth: float) -> Floats:
 
 
 def reaches(shell: Shell, reached: NDArray[np.bool_], item: Placed) -> bool:
-    """Return whether the mask ``reached`` (rows, columns) contains a cell in front of an item."""
+    """Return whether the mask of reachable cells (rows, columns) has a cell in front of an item."""
     zone = front_zone(item, item.item.front_m + 0.35)
     (r0, c0), (r1, c1) = (cell_of(shell, (float(x), float(y))) for x, y in zone)
     return bool(reached[max(r0, 0) : r1 + 1, max(c0, 0) : c1 + 1].any())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Makes fittings and small items: radiators, curtains, rugs, pictures, plants, switches; in metres."""
+"""Makes fittings and small items: radiators, curtains, rugs, plants, switches; lengths in metres."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def rug(style: Style, draws: Draws, width: float, depth: float, is_round: bool =
 
 
 def picture(style: Style, draws: Draws, width: float, height: float, art: str) -> Item:
-    """Make a framed print with a mount; ``art``: slot of the print; z = 0 is the frame's lower edge."""
+    """Make a framed print with a mount; the print has the slot ``art``; z = 0 is the frame's lower edge."""
     item = Item("picture", hold="wall")
     f = draws.uniform(0.012, 0.035)
     _framed(item, "mount", (width, height), f, 0.022, (-0.012, -0.008), 0.003)
@@ -153,7 +153,7 @@ def _framed(
     item: Item, slot: str, size: tuple[float, float], rim: float, depth: float, ys: tuple[float, float],
     bevel: float,
 ) -> None:  # fmt: skip
-    """Add a frame of ``size`` (width, height) with bars ``rim`` wide and a pane in ``slot``, at ``ys``."""
+    """Add a frame of ``size`` (width, height) with bars ``rim`` wide and a pane; ``ys``: y of frame, pane."""
     width, height = size
     for z in (0.0, height - rim):
         item.add("frame", box((width, depth, rim), (0, ys[0], z), bevel, grain=0))
@@ -297,7 +297,7 @@ def shoes(style: Style, draws: Draws) -> Item:
 
 
 def teepee(style: Style, draws: Draws) -> Item:
-    """Make a child's tent of fabric on poles."""
+    """Make a child's play tent of fabric on four poles."""
     item = Item("tent")
     r, h, c = 0.55, 1.45, -0.58
     feet = ring_of(4, r, np.pi / 4)

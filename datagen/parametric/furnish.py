@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Furnishing rules for many kinds of room: curtains, pictures, plants, rugs, chairs around tables, lamps."""
+"""Furnishing rules shared by many kinds of room: curtains, pictures, plants, chairs around tables, lamps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from datagen.parametric.shapes import middles
 from datagen.parametric.shell import CASING_M, WALLS
 
 _SPACING_M = 2.5  # distance between ceiling lamps of one room
-_SWITCH_M, _LOW_M, _HIGH_M = 1.05, 0.27, 1.12  # heights of switches, sockets, sockets above tables
+_SWITCH_M, _LOW_M, _HIGH_M = 1.05, 0.27, 1.12  # heights of switches, low sockets, sockets above tables
 _CLEAR_M = 0.02  # distance of switches and sockets from the casings of doors and windows
 _PICTURES_M = ((0.4, 0.5), (0.5, 0.7), (0.7, 0.5), (0.9, 0.6), (0.6, 0.8), (0.3, 0.4), (1.1, 0.75))
 
@@ -124,7 +124,7 @@ def lamp_on(room: Furnisher, host: Placed, x: float = 0.0) -> Placed | None:
 
 
 def floor_lamp_somewhere(room: Furnisher) -> Placed | None:
-    """Place a floor lamp in a corner or at a wall, with probability 0.75."""
+    """With probability 0.75, place a floor lamp in a corner or at a wall."""
     if room.draws.chance(0.75):
         return room.at_wall(lamps.floor_lamp(room.draws, room.new_name("glow")), where="corner", gap=0.05)
     return None
@@ -165,10 +165,10 @@ def fill(room: Furnisher, names: Sequence[str], least: int, most: int) -> None:
 def decorate(
     room: Furnisher, rug: float, round_rug: float = 0.15, most: int = 5, is_home: bool = True
 ) -> None:
-    """Place pictures, a shelf, plants and a rug on the free floor.
+    """Place pictures, plants, perhaps a wall shelf, and perhaps a rug on the free floor.
 
-    A home has 2 to ``most`` pictures (1 if that is ``most``), another room 1 to 3. ``rug`` is the probability
-    of a rug, ``round_rug`` the probability that it is round.
+    The number of pictures is 2 to ``most`` in homes (1 if ``most`` is 1), else 1 to 3. ``rug`` is the
+    probability of a rug, ``round_rug`` the probability that it is round.
     """
     draws, style = room.draws, room.style
     if draws.chance(0.55):
@@ -222,7 +222,7 @@ def ceiling_light(
     made = 0
     for x, y in places:
         item = _ceiling_lamp(room.new_name("glow"), kind, drop, Draws("lamp", look))
-        for dx, dy in ((0.0, 0.0), (0.3, 0.25), (-0.3, 0.25), (0.4, -0.4)):  # to avoid beams
+        for dx, dy in ((0.0, 0.0), (0.3, 0.25), (-0.3, 0.25), (0.4, -0.4)):  # beams may be in the way
             if room.hang_from_ceiling(item, x + dx, y + dy) is not None:
                 made += 1
                 break
@@ -257,7 +257,7 @@ def desk_place(room: Furnisher, needed: bool) -> bool:
 
 
 def wire(room: Furnisher, draws: Draws) -> None:
-    """Place a switch at the handle of each door, else at its hinges, and up to five sockets.
+    """Place a switch on the handle side of each door, else on the hinge side, and up to five sockets.
 
     Switches and sockets may be behind furniture.
     """

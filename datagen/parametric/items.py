@@ -34,7 +34,7 @@ class Style:
     handle: Handle
     legs: Legs
     is_soft: bool
-    """Whether upholstery is rounded."""
+    """True if upholstery is rounded."""
 
     @property
     def leg_slot(self) -> str:
@@ -72,7 +72,7 @@ class Lamp:
 
 @dataclass(frozen=True)
 class LampPlace:
-    """Position of a light slot: a point or, with ``size``, a rectangle around it that faces down."""
+    """Position of a light slot: a point or, with ``size``, a downward-facing rectangle centred there."""
 
     at: Point
     size: tuple[float, float] | None = None
@@ -130,7 +130,7 @@ class Item:
 
 @dataclass(frozen=True)
 class Placed:
-    """An item rotated by ``yaw_rad`` about z, then moved to ``at``; ``stands_on``: name of its support."""
+    """An item rotated by ``yaw_rad`` about z, then moved to ``at``; ``stands_on`` names the item below it."""
 
     item: Item
     name: str
@@ -140,11 +140,11 @@ class Placed:
 
     @property
     def room_from_item(self) -> Floats:
-        """The rigid transform (4, 4) from the item's frame to the room's."""
+        """Rigid transform (4, 4) from the item's frame to the room's."""
         return affine(np.round(rotation("z", self.yaw_rad), 12), self.at)
 
     def point(self, x: float, y: float, z: float = 0.0) -> Point:
-        """Return the position in the room of a point of the item's frame."""
+        """Transform a point from the item's frame to the room's."""
         at = self.room_from_item @ np.array([x, y, z, 1.0])
         return (float(at[0]), float(at[1]), float(at[2]))
 

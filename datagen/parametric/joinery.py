@@ -87,7 +87,7 @@ def fronts(
     columns: int = 1,
     slot: str = "front",
 ) -> None:
-    """Add fronts for ``rows``, lowest first, which are pairs ("drawer" or "door", height in metres).
+    """Add ``columns`` fronts per row; ``rows``, lowest first, are ("drawer" or "door", height in metres).
 
     ``at`` is the midpoint of the lower rear edge of the lowest row.
     """
@@ -110,7 +110,7 @@ def legs(
     thickness: float = 0.045,
     slot: str | None = None,
 ) -> None:
-    """Add four legs ``height`` metres high with outer faces at ``corners`` (x0, x1, y0, y1)."""
+    """Add four legs ``height`` metres high, inside the corners of the rectangle (x0, x1, y0, y1)."""
     x0, x1, y0, y1 = corners
     t = thickness
     for x, y in product((x0 + t / 2, x1 - t / 2), (y0 + t / 2, y1 - t / 2)):

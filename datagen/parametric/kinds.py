@@ -16,9 +16,10 @@ _DRY: Classes = ("wood", "stone", "glazed", "fabric")
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of room: ranges of sizes in metres, and of the numbers of openings and tiled walls.
+    """A kind of room: ranges of sizes in metres and of the numbers of windows, doors and ``tiled`` walls.
 
-    ``curtains``, ``blinds``, ``radiators``, ``beams`` and ``steel_fronts`` (of cabinets) are probabilities.
+    ``floor``: material classes of the floor. ``curtains``, ``blinds``, ``radiators``, ``beams`` and
+    ``steel_fronts`` (of cabinets) are probabilities.
     """
 
     width: Range
@@ -41,7 +42,7 @@ KINDS = read_table(__file__, "kinds.yaml", dict[str, Kind])
 
 
 def furnish(kind: str, room: Furnisher) -> None:
-    """Furnish a room by the function with the name of its kind.
+    """Furnish a room by the function of ``homes`` or ``workplaces`` that is named after its kind.
 
     Raises :class:`Unfit` if a required item does not fit.
     """

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Makes lamps with realistic sizes, colour temperatures and luminous fluxes; lengths in metres.
 
-Most shades are translucent: the cloth or paper shade itself is then the emitter, as it appears in
-photographs, instead of the bulb. Opaque shades hide their bulb from most cameras.
+Most shades are translucent; their cloth or paper is then modelled as the emitter, instead of a bulb inside.
+Opaque shades hide their bulb from most cameras.
 """
 
 from __future__ import annotations

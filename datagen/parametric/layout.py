@@ -38,7 +38,7 @@ class Unfit(Exception):
 
 @dataclass
 class Furnisher:
-    """A room being furnished; ``zones``: names and boxes (2, 3) of spaces that must remain free."""
+    """A room being furnished; ``zones`` are the names and boxes (2, 3) of spaces that must remain free."""
 
     shell: Shell
     style: Style
@@ -73,12 +73,12 @@ class Furnisher:
         return self.draws.shuffled([w for w in WALLS if not any(x.wall == w for x in self.shell.windows)])
 
     def new_name(self, name: str) -> str:
-        """Return a new numbered name of an item, or of a slot for a lamp (``glow``) or a print (``art``)."""
+        """Return a new numbered name for an item, or for the slot of a lamp (``glow``) or print (``art``)."""
         self._names[name] += 1
         return f"{name}_{self._names[name] - 1}"
 
     def take(self, item: Item, at: Point, yaw: float, stands_on: str = "") -> Placed:
-        """Place an item without checking its position; :func:`faults_of` checks it later."""
+        """Place an item without checking its position (see :func:`datagen.parametric.checks.faults_of`)."""
         rounded = (round(at[0], 6), round(at[1], 6), round(at[2], 6))
         placed = Placed(item, self.new_name(item.name), rounded, round(yaw, 6), stands_on)
         self.placed.append(placed)
@@ -100,7 +100,8 @@ class Furnisher:
     ) -> Placed | None:
         """Place an item if its position is valid; otherwise, return None.
 
-        The item may reach into gaps of the items ``near`` and into the zones that ``ignores`` names.
+        The item may be inside the bounds of the items ``near`` without touching their shapes (a chair under a
+        table), and inside the zones named in ``ignores``.
         """
         trial = Placed(item, "trial", at, yaw, stands_on)
         boxes = trial.boxes()
@@ -183,9 +184,9 @@ class Furnisher:
         return None
 
     def in_middle(self, item: Item, needed: bool = False, spread: float = 1.0) -> Placed | None:
-        """Place an item in the middle of the room, else at random within a share ``spread`` of the room.
+        """Place an item in the middle of the room, else at random in the room's central share ``spread``.
 
-        Returns None without a valid position or, if ``needed``, raises :class:`Unfit`.
+        Without space, returns None or, if ``needed``, raises :class:`Unfit`.
         """
         b = item.bounds
         size = b[1] - b[0]
@@ -223,7 +224,7 @@ class Furnisher:
         return self.offer(item, host.point(0.5 * (h[0, 0] + h[1, 0]), y), yaw, ignores=(host.name,))
 
     def seat(self, chair: Item, table: Placed, side: Side, offset: float, tuck: float) -> Placed | None:
-        """Place a chair at a table's side, about ``offset`` metres from the middle and ``tuck`` under it."""
+        """Place a chair at a table's side, about ``offset`` metres off its middle and ``tuck`` m under it."""
         b, depth = table.item.bounds, -float(chair.bounds[0, 1])
         middle = b.mean(axis=0)[:2]
         half = 0.5 * (b[1] - b[0])[:2]
@@ -261,9 +262,10 @@ class Furnisher:
         free: float = 0.12,
         is_slim: bool = False,
     ) -> Placed | None:
-        """Place an item on a wall, ``free`` metres clear of doors and windows; its z = 0 is at height ``z``.
+        """Place an item on a wall with its z = 0 at height ``z``, ``free`` metres clear of doors and windows.
 
-        If ``is_slim``, it may be behind furniture, and in the space kept free in front of furniture.
+        ``s`` is the position along the wall, random by default. If ``is_slim``, the item may be behind
+        furniture and in the space kept free in front of furniture.
         """
         b = item.bounds
         near = tuple(self.placed) if is_slim else ()

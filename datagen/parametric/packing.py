@@ -37,8 +37,8 @@ from datagen.parametric.shapes import Floats, Shape, joined
 from datagen.parametric.shell import openings
 from datagen.parametric.slots import SLOTS, in_metal
 
-_LUMEN_PER_WATT = 179.0  # luminous efficacy of white light, by the convention of renderers
-_BALANCE_K, _WHITE_K = 4000.0, 6500.0  # lamp colours are as seen with a white balance of 4000 K
+_LUMEN_PER_WATT = 179.0  # luminous efficacy of white light, the convention of the renderer Radiance
+_BALANCE_K, _WHITE_K = 4000.0, 6500.0  # lamp colours are those of a photograph balanced for 4000 K
 _ON = 0.8  # share of lamps that are switched on
 _REGION_TOP_M = 2.2
 _MAX_REGIONS, _MAX_FLOORS = 6, 3
@@ -60,7 +60,7 @@ def room_package(kind: str, seed: str, has_scenery: bool = True) -> tuple[bytes,
 
 
 def package_of(room: MadeRoom) -> tuple[bytes, Package]:
-    """Return a room's environment package, as the bytes of a zip file and opened in memory."""
+    """Return a room's environment package as the bytes of a zip file, and opened in memory."""
     draws = Draws("parametric room", room.kind, room.seed, "package")
     files: dict[str, bytes] = {}
     parts: list[Part] = []
@@ -103,7 +103,7 @@ def package_of(room: MadeRoom) -> tuple[bytes, Package]:
 def _write_meshes(
     placed: Placed, number: int, files: dict[str, bytes]
 ) -> list[tuple[str, str, float | None]]:
-    """Add a mesh for each slot of an item to ``files``; return the slots, file names and UVs per metre."""
+    """Add one mesh per slot of an item to ``files``; return slots, file names and UV units per metre."""
     by_slot: dict[str, list[Shape]] = {}
     for slot, shape in placed.item.shapes:
         by_slot.setdefault(slot, []).append(shape)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Draws prints for picture frames as PNG files: landscapes, abstract shapes, twigs, lines."""
+"""Draws pictures for frames as PNG files: landscapes, abstract shapes, twigs, lines."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def _strokes(picture: Floats, x: Floats, y: Floats, inks: list[Floats], draws: D
 
 
 def _grid(picture: Floats, x: Floats, y: Floats, inks: list[Floats], draws: Draws) -> None:
-    """Draw some cells of a grid, round or square."""
+    """Draw a grid of discs or squares in random colours, some left out."""
     count, is_round = draws.integer(3, 7), draws.chance(0.5)
     u, v = (1.2 * count * (x - 0.5) + 0.5 * count) % 1, (1.2 * count * (y - 0.5) + 0.5 * count) % 1
     column = np.floor(1.2 * count * (x - 0.5) + 0.5 * count).astype(np.int64)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Generates a furnished room of a kind from a seed: shell, furniture and checks.
 
-A room with faults is generated again from another sub-seed; all sub-seeds follow from the seed.
+A room with faults is generated again from another seed, derived from the given one.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ _HINGES: tuple[Literal[-1], Literal[1]] = (-1, 1)
 
 @dataclass(frozen=True)
 class MadeRoom:
-    """A room without faults, made by attempt ``tries``; ``rejected``: the faults of earlier attempts.
+    """A room without faults, made at attempt number ``tries``; ``rejected``: the faults of earlier attempts.
 
-    Without ``has_scenery``, the space outside the windows is empty, so that a panorama is visible.
+    Without ``has_scenery``, nothing is modelled outside the windows, so that a panorama is visible.
     """
 
     kind: str
@@ -41,7 +41,7 @@ class MadeRoom:
 
 
 def make_room(kind: str, seed: str, has_scenery: bool = True) -> MadeRoom:
-    """Make a room. Raises :class:`InputError` if each of :data:`MAX_TRIES` attempts has faults."""
+    """Make a furnished room. Raises :class:`InputError` if all :data:`MAX_TRIES` attempts have faults."""
     rejected: list[str] = []
     for attempt in range(MAX_TRIES):
         key = ("parametric room", kind, seed, attempt)

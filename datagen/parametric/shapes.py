@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Solids as triangle meshes in metres, Z up, with UVs in metres.
 
-In array shapes, n is the number of vertices and m of triangles. Wood grain runs along u. Solids are closed,
-and their faces counter-clockwise seen from outside. ``at`` is the middle of the base unless stated otherwise.
+Shapes of arrays: n vertices, m triangles. Wood grain runs along u. Solids are closed, with faces
+counter-clockwise seen from outside. ``at`` is the centre of the base unless stated otherwise.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def _box_uv(points: Floats, normals: Floats, grain: int, half: Floats) -> Floats
 def rounded_box(
     size: Point, radius: float, at: Point = _ORIGIN, segments: int = 2, bulge: float = 0.0
 ) -> Shape:
-    """Make a box with rounded edges, whose two largest faces bulge by ``bulge`` metres like a cushion's."""
+    """Make a box with rounded edges, whose two largest faces bulge by ``bulge`` metres as on a cushion."""
     half = 0.5 * np.array(size, dtype=np.float64)
     r = min(radius, 0.98 * float(half.min()))
     angles = np.linspace(-math.pi / 4, 0, segments + 1)
@@ -196,7 +196,7 @@ def _lattice(points: Floats, normals: Floats, u: Floats, v: Floats) -> Shape:
 
 
 def smooth(shape: Shape) -> Shape:
-    """Return the shape with area-weighted normals that coincident vertices share."""
+    """Return the shape with area-weighted vertex normals, averaged over coincident vertices."""
     _, spot = np.unique(np.round(shape.points, 7), axis=0, return_inverse=True)
     spot = spot.reshape(-1)
     cross = area_vectors(shape.points[shape.faces])
@@ -207,7 +207,7 @@ def smooth(shape: Shape) -> Shape:
 
 
 def grid(points: Floats) -> Shape:
-    """Make a smooth sheet through points (rows, columns, 3); on its front, rows run up, columns right."""
+    """Make a smooth sheet through points (rows, columns, 3); from the front, rows go up, columns right."""
     along = np.linalg.norm(np.diff(points, axis=1), axis=2).mean(axis=0)
     up = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
     u, v = np.concatenate([[0.0], np.cumsum(along)]), np.concatenate([[0.0], np.cumsum(up)])
@@ -264,7 +264,7 @@ def lathe(profile: Sequence[tuple[float, float]], at: Point = _ORIGIN, segments:
 
 
 def frame(width: float, height: float, bar: float, depth: float, at: Point) -> list[Shape]:
-    """Make two level bars of width ``bar`` and two uprights between them, bevelled by 4 mm."""
+    """Make a rectangular frame: two level bars of width ``bar``, two uprights between them, 4 mm bevels."""
     x, y, z = at
     levels, sides = (z, z + height - bar), ((width - bar) / 2 * side for side in (-1, 1))
     across = [box((width, depth, bar), (x, y, level), 0.004, grain=0) for level in levels]
@@ -325,7 +325,7 @@ def _cap(rim: Floats, normal: Floats) -> Shape:
 
 
 def flat(quads: Floats, is_print: bool = False) -> Shape:
-    """Make flat quads (q, 4, 3) with separate normals and UVs; u runs along the first edge of each."""
+    """Make flat-shaded quads (q, 4, 3); u runs along the first edge of each."""
     a, b, d = quads[:, 0], quads[:, 1], quads[:, 3]
     normal = np.cross(b - a, d - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -343,7 +343,7 @@ def flat(quads: Floats, is_print: bool = False) -> Shape:
 def loft(rings: Floats, caps: tuple[bool, bool] = (False, False)) -> Shape:
     """Make a smooth surface through closed rings (k, c, 3), counter-clockwise from above, lowest ring first.
 
-    For a basin, further rings run down the inside. ``caps``: whether the first and the last ring are closed.
+    For a basin, further rings run down the inside. ``caps``: True to close the first and the last ring.
     """
     shapes = [grid(np.concatenate([rings, rings[:, :1]], axis=1))]
     for is_capped, ring, sign in ((caps[0], rings[0], -1.0), (caps[1], rings[-1], 1.0)):

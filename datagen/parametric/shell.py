@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Makes the shell of a room: walls with openings, floor, ceiling, trim, windows, doors, outside.
+"""Makes the shell of a room: walls with openings, floor, ceiling, trim, windows, doors, and outside scenery.
 
 Lengths are in metres. The interior is x in [-width/2, width/2], y in [-depth/2, depth/2], z in [0, height].
 In a wall's frame, s runs right as seen from inside, the wall's face is y = 0, and the room is at y < 0.
@@ -34,7 +34,7 @@ from datagen.parametric.shapes import (
 Wall = Literal["north", "west", "south", "east"]
 WALLS: tuple[Wall, ...] = ("north", "west", "south", "east")
 THICKNESS = 0.28
-_RECESS = 0.55 * THICKNESS  # depth of the window frames behind the wall's face
+_RECESS = 0.55 * THICKNESS  # distance of the window frames behind the wall's inner face
 _YAW: dict[Wall, float] = {"north": 0.0, "west": 0.5 * math.pi, "south": math.pi, "east": -0.5 * math.pi}
 CASING_M = 0.09  # width of the casing around doors and windows
 DOOR_HEIGHT = 2.03
@@ -65,7 +65,7 @@ class Door:
 
 @dataclass(frozen=True)
 class Shell:
-    """Size and openings of a room; the wall ``accent`` has another colour, the walls ``tiled`` have tiles.
+    """Size and openings of a room; the wall ``accent`` has another material, the walls ``tiled`` have tiles.
 
     ``storey_m`` is the height of the floor above the ground outside.
     """
@@ -112,7 +112,7 @@ class Shell:
 
 
 def swing(shell: Shell, door: Door) -> Floats:
-    """Return the corners (k, 2), hinge first, of the sector that a door sweeps, in the room's frame."""
+    """Return the outline (k, 2) of the sector that a door sweeps, hinge first, in the room's frame."""
     hinge = door.s + door.hinge * door.width / 2
     angles = np.linspace(0, 0.5 * math.pi, 10)
     arc = [(hinge - door.hinge * door.width * math.cos(a), -door.width * math.sin(a)) for a in angles]
@@ -284,7 +284,7 @@ def outside(shell: Shell, draws: Draws) -> list[Placed]:
     item = Item("outside")
     level = -shell.storey_m
     scene = draws.choice(("garden", "street", "trees"))
-    reach = 400.0  # limits Mitsuba's black sky below the horizon to 1 degree from upper storeys
+    reach = 400.0  # hides Mitsuba's sky below the horizon, which is black, but for 1 degree
     ground = "asphalt" if scene == "street" else "lawn"
     item.add(ground, box((2 * reach, 2 * reach, 0.1), (0, 0, level - 0.1), 0.0, grain=0))
     for wall in sorted({w.wall for w in shell.windows}):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Slots of generated rooms, each with a kind of surface, permitted material classes and a plain colour.
 
-Plans assign materials of the library to almost all slots; the plain colours remain where no material fits.
+Planning assigns library materials to almost all slots; the plain colours remain where no material fits.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ Classes = tuple[MaterialClass, ...]
 
 @dataclass(frozen=True)
 class Slot:
-    """A slot with a plain material, which materials of ``classes`` may replace unless the slot is fixed.
+    """A slot with a plain material, which materials of ``classes`` may replace unless ``is_fixed``.
 
-    ``metal_share``: probability that the slot is of metal in a room.
+    ``metal_share``: probability per room that the slot is metal instead.
     """
 
     surface: Surface
@@ -53,7 +53,7 @@ _FINISHED = ("frame", "legs", "shade", "slats")
 
 
 def in_metal(slot: str) -> SlotMaterial:
-    """Return the plain metal material of a slot; slender parts have the finish of handles and taps."""
+    """Return the plain metal material of a slot; frames, legs, shades and slats become ``fitting``."""
     surface: Surface = "fitting" if slot in _FINISHED else SLOTS[slot].surface
     return Slot(surface, ("metal",), _BARE, 0.3, _METAL).material()
 

@@ -27,7 +27,7 @@ def cabinet(
 ) -> Item:
     """Make a closed cabinet of ``size`` (width, depth, height) on a plinth or legs ``foot`` metres high.
 
-    ``rows`` (relative heights) and ``columns`` are as in :func:`fronts`; ``slots``: slots of body and fronts.
+    ``rows`` (with relative heights) and ``columns`` are as in :func:`fronts`; ``slots``: of body and fronts.
     """
     w, d, h = size
     item = Item(name, front_m=0.5)
@@ -95,7 +95,7 @@ def wardrobe(style: Style, draws: Draws, doors: int) -> Item:
 def bookcase(
     style: Style, draws: Draws, width: float, height: float, depth: float = 0.3, fill: float = 0.6
 ) -> Item:
-    """Make open shelves with books in a share ``fill`` of the bays, and support surfaces in free space."""
+    """Make open shelves with books in a share ``fill`` of the bays, and support surfaces elsewhere."""
     item = Item("bookcase", front_m=0.45)
     t = 0.024
     item.add("wood", box((width - 2 * t, 0.008, height - 0.06), (0, -0.006, 0.05), 0.0))
