@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Builds an asset in an empty file: the source creates tagged Blender data, which the add-on exports."""
+"""Builds the assets: in an empty file, a source creates tagged Blender data, which the add-on exports."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from scenes.sources.materials.graph import Graph
 from scenes.sources.objects import OBJECTS
 
 FOLDERS = {"environment": "environments", "object": "objects", "material": "materials"}
-TOLERANCE = 0.7 / 255  # below the step of an 8-bit texture
+TOLERANCE = 0.7 / 255  # mean change at which textures are enlarged: below an 8-bit step
 SLOT_TEXTURE_PX = {"environment": 512, "object": 256}
 
 
 def sources() -> dict[str, str]:
-    """Return the kind of every asset by id, in building order."""
+    """Map the id of every asset to its kind, in the order in which assets are built."""
     kinds = {name: "material" for name in MATERIALS}
     kinds |= {name: "object" for name in OBJECTS}
     kinds |= {name: "environment" for name in ENVIRONMENTS}
@@ -29,7 +29,7 @@ def sources() -> dict[str, str]:
 
 
 def make(name: str) -> str:
-    """Create one asset in an empty file, tagged for the export; return its kind."""
+    """Create one asset in an empty Blender file, tagged for the export; return its kind."""
     modelling.new_file()
     kind = sources()[name]
     if kind == "material":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Command line of the library's sources."""
+"""The command ``python -m scenes.sources``, which builds, previews and lists the bundled library's assets."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _CAPTION = 14
 
 
 def write_gallery(out: Path, kinds: tuple[str, ...]) -> list[Path]:
-    """Render all assets of each kind with Cycles into the picture ``out``/``<kind>s.jpg``; return the paths."""
+    """Render a contact sheet ``out``/``<kind>s.jpg`` of each kind's assets with Cycles; return the paths."""
     from PIL import Image, ImageDraw
 
     from blender_addon.command import quiet_stdout

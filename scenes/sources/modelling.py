@@ -29,7 +29,7 @@ def new_file() -> None:
 
 @dataclass(frozen=True)
 class Pieces:
-    """The (slot, shape) pairs ``shapes`` of a part; ``+=`` adds shapes with the slot ``slot``."""
+    """The (slot, shape) pairs of a part; ``+=`` appends one or several shapes with the slot ``slot``."""
 
     shapes: list[tuple[str, Shape]]
     slot: str
@@ -96,7 +96,7 @@ class PartBuilder:
         for slot, shape in pieces:
             uv = shape.uvs
             if not shape.unit_uv:
-                # each shape shows another part of the pattern
+                # a low-discrepancy shift, so that each shape has a different section of the pattern
                 self._count += 1
                 shift = np.array([0.6180339887, 0.7548776662]) * self._count % 1.0
                 source = self.slots[slot].source

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Makes the bundled panoramas from CC0 environment maps, reduced to 768 x 384 texels of half floats.
 
-The maps are Poly Haven's Radiance files of 1024 x 512, and those of Blender (``datafiles/studiolights/world``).
-Radiances are not rescaled, and the sun's disc is not clipped. EXR's lossy DWAB compression changes radiances
-by 3 % on average and results in files of 0.2 to 0.5 MB.
+The maps are Radiance files (.hdr) of 1024 x 512 from Poly Haven, and those in Blender's
+``datafiles/studiolights/world``. Radiances are not rescaled, and the sun's disc is not clipped. EXR's lossy
+DWAB compression changes radiances by 3 % on average and results in files of 0.2 to 0.5 MB.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ PANORAMAS: Sequence[Source] = (
 
 
 def write_panoramas(folder: Path, blender: Path, out: Path) -> list[Path]:
-    """Write the packages below ``out`` from the maps in ``folder`` (Poly Haven) and ``blender``; return their
-    folders. Raises :class:`InputError` for a missing map."""
+    """Write panorama packages below ``out`` from the maps in ``folder`` (Poly Haven's) and ``blender``;
+    return the packages' folders. Raises :class:`InputError` for a missing map."""
     written = []
     for source in PANORAMAS:
         path = (blender if source.is_blender else folder) / source.file
@@ -89,7 +89,7 @@ def write_panoramas(folder: Path, blender: Path, out: Path) -> list[Path]:
 
 
 def radiance_of(path: Path) -> NDArray[np.float32]:
-    """Radiance (H, W, 3) of a Radiance or EXR file, clipped to [0, 60000]."""
+    """Read the radiance (H, W, 3) from a Radiance (.hdr) or EXR file, clipped to [0, 60000]."""
     if path.suffix == ".exr":
         pixels = read_image(path)[..., :3]
     else:
@@ -107,7 +107,7 @@ def reduced(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def encoded(pixels: NDArray[np.float32]) -> bytes:
-    """Encode an image (H, W, 3) as EXR of half floats, without the negative values that DWAB causes near 0."""
+    """Encode an image (H, W, 3) as half-float EXR, without the negative values that DWAB causes near 0."""
     floor = _FLOOR
     while True:
         data, least = _encoded(np.maximum(pixels, floor))

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Builds the parts of objects from tables: by part, rows {slot: shape}, added in their order.
+"""Builds the parts of objects from tables, which map each part to a list of rows ``{slot: shape}``.
 
-The first key of a shape names its function and gives the first argument. Further keys are the function's other
-arguments, or methods of :class:`Shape`, applied in their order with a list of arguments. A list of places as
-``at`` or ``moved`` yields a shape at each. An outline, path or list of rings may be ``{kind: arguments}``.
+A shape is a dict. Its first key is the name of the function that makes it, with the first argument as value.
+Further keys are other arguments of the function, or methods of :class:`Shape` with lists of arguments,
+applied in order. A list of positions as ``at`` or ``moved`` makes one shape per position. An outline, path or
+list of rings may be given as ``{kind: arguments}``, with a kind from ``_OUTLINES``.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ Parts = dict[str, list[dict[str, dict[str, Any]]]]
 def handle(
     z_low: float, z_high: float, r_low: float, r_high: float, reach: float, thick: float = 0.0055
 ) -> Shape:
-    """A handle on the +x side with its ends inside the wall."""
+    """Make a vessel's handle on the +x side, with its ends inside the vessel's wall."""
     middle = (z_low + z_high) / 2
     path = [(r_high - 0.004, 0, z_high), (r_high + 0.55 * reach, 0, z_high + 0.004), (r_high + reach, 0, middle + 0.25 * (z_high - z_low)),
             (r_low + 0.9 * reach, 0, middle - 0.25 * (z_high - z_low)), (r_low + 0.35 * reach, 0, z_low), (r_low - 0.004, 0, z_low + 0.002)]  # fmt: skip
@@ -61,7 +62,7 @@ def plate(radius: float) -> Shape:
 
 
 def dial_face(radius: float) -> Shape:
-    """A disc about the origin that faces -Y, with a unique UV layout."""
+    """Make a disc about the origin that faces -Y, with UVs in [0, 1]."""
     angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     ring = np.stack([np.cos(angle), np.zeros(40), np.sin(angle)], axis=-1)
     uv = np.stack([0.5 + 0.5 * np.cos(angle), 0.5 + 0.5 * np.sin(angle)], axis=-1)
@@ -69,7 +70,7 @@ def dial_face(radius: float) -> Shape:
 
 
 def drum_shade(top: float, bottom: float, height: float, segments: int = 36) -> Shape:
-    """An open conical shade with the radii ``top`` and ``bottom``, 3 mm thick."""
+    """Make an open conical lampshade with the radii ``top`` and ``bottom``, 3 mm thick."""
     t = 0.003
     outside = [(bottom, 0.0), (bottom + t / 2, 0.002), (top + t / 2, height - 0.002), (top, height)]
     inside = [(top - t / 2, height - 0.002), (bottom - t / 2, 0.002), (bottom, 0.0)]
@@ -77,7 +78,7 @@ def drum_shade(top: float, bottom: float, height: float, segments: int = 36) -> 
 
 
 def spider(radius: float, z: float) -> Shape:
-    """The arms and stem at height ``z`` that hold a lamp's shade of ``radius``."""
+    """Make the three arms at height ``z``, and the stem below, that hold a lampshade of ``radius``."""
     arms = [
         tube([(0, 0, z), (radius * np.cos(a), radius * np.sin(a), z)], 0.0018, 6) for a in (0.3, 2.4, 4.5)
     ]
@@ -85,7 +86,7 @@ def spider(radius: float, z: float) -> Shape:
 
 
 def _superellipse(half_width: float, half_height: float, x: float, z: float = 0.011) -> list[Point]:
-    """A ring (20, 3) about (0, z) in the plane at ``x``, of exponent 2.6."""
+    """Return a superellipse of exponent 2.6 about (x, 0, z), normal to x, as 20 points."""
     p = 2.6
     return [
         (
@@ -98,7 +99,7 @@ def _superellipse(half_width: float, half_height: float, x: float, z: float = 0.
 
 
 def _oval(width: float, depth: float, z: float, y: float) -> NDArray:
-    """A ring (32, 3) about (0, y) at height ``z``, longer towards -y."""
+    """Return an oval about (0, y) at height ``z``, longer towards -y, as points (32, 3)."""
     angle = np.linspace(0, 2 * np.pi, 32, endpoint=False)
     front = np.where(np.sin(angle) < 0, 1.12, 0.88)
     return np.column_stack([width / 2 * np.cos(angle), y + depth / 2 * np.sin(angle) * front, np.full(32, z)])
@@ -129,7 +130,7 @@ def add_parts(builder: PartBuilder, parts: Parts) -> None:
 
 
 def shapes_of(keys: dict[str, Any]) -> Iterator[Shape]:
-    """The shapes of a row, given without its slot."""
+    """Yield the shapes that a dict of a table's row describes."""
     for key in {"at", "moved"} & keys.keys():
         if isinstance(keys[key][0], tuple):
             for place in keys[key]:

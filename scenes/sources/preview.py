@@ -17,7 +17,7 @@ from scenes.sources.build import make
 def render_preview(
     name: str, out: Path, samples: int = 24, width: int = 480, camera: Sequence[float] | None = None
 ) -> None:
-    """Render an asset to the PNG ``out``; ``camera`` (6,) is eye and target [m] in an environment."""
+    """Render an asset to the PNG file ``out``; ``camera`` (6,): position and target [m] in an environment."""
     kind = make(name)
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Modelling with arrays: functions return a :class:`Shape` in metres, Z up, with UVs in metres.
 
-Sizes: n points, f faces, c face corners (sum of face sizes). UVs are lengths along the surface, and a
-material's grain runs along u. ``unit_uv`` marks a unique UV layout in [0, 1] (prints, dials, covers).
+Shapes of arrays: n points, f faces, c face corners (sum of the sizes of all faces). UVs are lengths along the
+surface, and a material's grain runs along u. ``unit_uv`` marks a unique UV layout in [0, 1] (prints, dials).
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ Face = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Shape:
-    """Polygons: ``points`` (n, 3) [m]; ``faces``, f tuples of point indices, counter-clockwise seen from outside;
-    ``uvs`` (c, 2) by face corner.
+    """Polygon mesh: ``points`` (n, 3) [m]; ``faces``, f tuples of point indices, counter-clockwise seen from
+    outside; ``uvs`` (c, 2) by face corner.
     """
 
     points: NDArray
@@ -45,7 +45,7 @@ class Shape:
         return shape if by is None else shape.moved(*by)
 
     def scaled(self, x: float, y: float | None = None, z: float | None = None) -> Shape:
-        """The shape scaled about the origin; UVs remain in metres for uniform scales only."""
+        """The shape scaled about the origin; UVs remain in metres only if the scale is uniform."""
         factors = np.array([x, x if y is None else y, x if z is None else z])
         uvs = self.uvs if self.unit_uv else self.uvs * abs(np.prod(factors)) ** (1 / 3)
         shape = replace(self, points=self.points * factors, uvs=uvs)
@@ -96,8 +96,8 @@ def face_normals(points: NDArray, faces: Sequence[Face]) -> NDArray:
 
 
 def box_uvs(points: NDArray, faces: Sequence[Face], grain: int | None = None) -> NDArray:
-    """UVs (c, 2) [m] of a box projection; u runs along axis ``grain`` (default: the longest) on faces parallel to
-    it."""
+    """Compute UVs (c, 2) [m] by box projection; on faces parallel to axis ``grain`` (default: the longest),
+    u runs along it."""
     if grain is None:
         grain = int(np.argmax(np.ptp(points, axis=0)))
     uvs = []
@@ -106,7 +106,7 @@ def box_uvs(points: NDArray, faces: Sequence[Face], grain: int | None = None) ->
         first, second = [i for i in (0, 1, 2) if i != axis]
         if grain == second:
             first, second = second, first
-        # an offset by the face's direction makes the two ends of a board differ
+        # offset by the face's direction, so that the two ends of a board differ
         offset = np.array([0.0, 0.37 * axis + (0.19 if normal[axis] > 0 else 0.0)])
         uvs.append(points[list(face)][:, [first, second]] + offset)
     return np.concatenate(uvs)
@@ -128,7 +128,7 @@ def box(
     segments: int = 1,
     grain: int | None = None,
 ) -> Shape:
-    """A block of ``size`` with its bottom centre at ``at`` and edges bevelled in ``segments`` steps."""
+    """Make a block with its bottom centre at ``at``, and edges bevelled in ``segments`` steps."""
     mesh = bmesh.new()
     bmesh.ops.create_cube(mesh, size=1.0)
     bmesh.ops.scale(mesh, vec=Vector(size), verts=mesh.verts)
@@ -141,7 +141,7 @@ def box(
 
 
 def smooth_curve(points: ArrayLike, per_span: int = 6, closed: bool = False) -> NDArray:
-    """Points (m, d) of a uniform Catmull-Rom spline through ``points`` (k, d), with ``per_span`` steps per span."""
+    """Sample a uniform Catmull-Rom spline through ``points`` (k, d), with ``per_span`` steps per span."""
     p = np.asarray(points, dtype=float)
     if closed:
         p = np.concatenate([p[-1:], p, p[:2]])
@@ -245,7 +245,7 @@ def vessel(
 
 
 def outward(shape: Shape) -> Shape:
-    """The shape, with its faces flipped if they enclose a negative volume."""
+    """Return the shape, flipped if its faces enclose a negative volume."""
     points = shape.points - shape.points.mean(axis=0)
     volume = 0.0
     for face in shape.faces:
@@ -305,12 +305,12 @@ def tube(
 
 
 def mirrored(half: Sequence[Point]) -> list[Point]:
-    """The path through the points ``half`` and then, in reverse order, through their mirror images in x = 0."""
+    """Return the points ``half`` followed, in reverse order, by their mirror images in the plane x = 0."""
     return [*half, *[(-x, y, z) for x, y, z in half[::-1] if x]]
 
 
 def hoop(radius: float, thickness: float, z: float, count: int, segments: int) -> Shape:
-    """A torus about z at height ``z`` of ``count`` rings of ``segments`` points; ``thickness``: radius of the bar."""
+    """A torus about z at height ``z``; ``thickness``: radius of its tube; ``count`` x ``segments`` quads."""
     angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
     path = [(radius * np.cos(a), radius * np.sin(a), z) for a in angles]
     return tube(path, thickness, segments, closed=True)
@@ -324,7 +324,7 @@ def _cap(ring: NDArray, outward: NDArray, radius: float) -> NDArray:
 
 
 def loft(sections: ArrayLike, capped: bool = True) -> Shape:
-    """A surface through closed rings (k, m, 3), counter-clockwise seen from the last; ``capped`` closes the ends."""
+    """A surface through closed rings (k, m, 3), counter-clockwise from the last, closed if ``capped``."""
     rings = np.asarray(sections, dtype=float)
     if capped:
         ends = []
@@ -336,7 +336,7 @@ def loft(sections: ArrayLike, capped: bool = True) -> Shape:
 
 
 def extrude(outline: ArrayLike, height: float, bevel: float = 0.001, segments: int = 1) -> Shape:
-    """A plate with bevelled edges over ``outline`` (k, 2), counter-clockwise, from z = 0 to ``height``."""
+    """A plate of counter-clockwise ``outline`` (k, 2) from z = 0 to ``height``, with bevelled edges."""
     mesh = bmesh.new()
     bottom = mesh.faces.new([mesh.verts.new((x, y, 0.0)) for x, y in np.asarray(outline)])
     top = bmesh.ops.extrude_face_region(mesh, geom=[bottom])
@@ -351,9 +351,9 @@ def extrude(outline: ArrayLike, height: float, bevel: float = 0.001, segments: i
 
 
 def _in_fixed_order(shape: Shape) -> Shape:
-    """The box-projected shape with sorted points and faces.
+    """Return the shape with sorted points and faces, and box-projected UVs.
 
-    After extruding, Blender's order of both depends on memory addresses and thus differs between runs.
+    After an extrusion, Blender orders both by memory addresses, which differ between runs.
     """
     points = np.round(shape.points, 6) + 0.0
     order = np.lexsort(points.T[::-1])
@@ -369,7 +369,7 @@ def _in_fixed_order(shape: Shape) -> Shape:
 
 
 def rounded_rectangle(width: float, depth: float, radius: float, steps: int = 4) -> list[tuple[float, float]]:
-    """Outline (x, y) about the origin, counter-clockwise; each corner has ``steps`` segments."""
+    """A counter-clockwise outline (x, y) centred at the origin; each corner has ``steps`` segments."""
     outline = []
     corners = (((1, 1), 0.0), ((-1, 1), 90.0), ((-1, -1), 180.0), ((1, -1), 270.0))
     for (sx, sy), start in corners:
@@ -456,7 +456,7 @@ def soft_box(
 
 
 def pillow(size: Point, steps: int = 14, pinch: float = 0.07, wrinkle: float = 0.003, seed: int = 0) -> Shape:
-    """A pillow on z = 0, with a thin seam, sides drawn in by ``pinch`` of half the width, and pointed corners."""
+    """A pillow on z = 0 with a thin seam and pointed corners; sides curve inwards by the share ``pinch``."""
     t = np.linspace(-1, 1, 2 * steps + 1)
     t = np.sign(t) * np.sin(np.abs(t) * np.pi / 2)
     u, v = np.meshgrid(t, t)
@@ -475,7 +475,7 @@ def pillow(size: Point, steps: int = 14, pinch: float = 0.07, wrinkle: float = 0
 def frame(
     width: float, height: float, bar: float, depth: float, at: Point, bevel: float = 0.004, segments: int = 1
 ) -> list[Shape]:
-    """Two level bars of width ``bar`` and two uprights between them, with their bottom centre at ``at``."""
+    """A frame with bottom centre ``at``: two level bars of width ``bar`` and two uprights between them."""
     x, y, z = at
     levels, sides = (z, z + height - bar), ((width - bar) / 2 * side for side in (-1, 1))
     across = [box((width, depth, bar), (x, y, level), bevel, segments, grain=0) for level in levels]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sources of environments: tables in rooms.yaml, and for each room a module with a function that furnishes it."""
+"""Sources of environments: a table in rooms.yaml and, for each room, a module that furnishes it."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from scenes.sources.shapes import Point
 
 @dataclass(frozen=True)
 class EnvironmentSource:
-    """The source of a room. ``shell``: its size and openings, as arguments of :class:`Room`; ``camera_regions``: low
-    and high corners by name [m].
+    """The source of a room. ``shell``: size and openings, as arguments of :class:`Room`;
+    ``camera_regions``: lower and upper corners [m] by name.
     """
 
     title: str

@@ -20,7 +20,7 @@ def rug(
     border: str = "",
     seed: int = 0,
 ) -> None:
-    """Add a slightly uneven rug about ``at`` on the floor, with an edging in the slot ``border`` if given."""
+    """Add a slightly uneven rug centred at ``at`` on the floor; ``border``: slot of its edging, if any."""
     rng = np.random.default_rng(seed)
     u, v = np.meshgrid(np.linspace(-0.5, 0.5, 33), np.linspace(-0.5, 0.5, 25))
     wave = 0.0012 * np.sin(9 * u + rng.uniform(0, 6)) * np.sin(7 * v + rng.uniform(0, 6))
@@ -48,7 +48,7 @@ def floor_lamp(room: Room, x: float, y: float, height: float = 1.55) -> None:
 def pendant(
     room: Room, x: float, y: float, drop: float, radius: float, slot_m: float, metal: str = "hardware"
 ) -> None:
-    """Add a pendant lamp with a dome shade at (x, y), with a square light slot with sides of ``slot_m``."""
+    """Add a pendant lamp with a dome shade at (x, y), and in it a square light slot of side ``slot_m``."""
     w, ceiling = room.builder, room.height
     z = ceiling - drop
     rose = ((0, -0.03), (0.045, -0.03), (0.055, -0.02), (0.055, 0.002), (0, 0.002))
@@ -66,7 +66,7 @@ def pendant(
 def ceiling_light(
     room: Room, x: float, y: float, radius: float, slot_m: float, metal: str = "hardware"
 ) -> None:
-    """Add a flat round ceiling light at (x, y), with a square light slot with sides of ``slot_m`` below it."""
+    """Add a flat round ceiling light at (x, y), and below it a square light slot of side ``slot_m``."""
     w, ceiling = room.builder, room.height
     w["ceiling_light", metal] += (lathe([(0, ceiling + 0.002), (radius, ceiling + 0.002), (radius + 0.006, ceiling - 0.004), (radius + 0.006, ceiling - 0.05), (radius, ceiling - 0.056), (radius - 0.012, ceiling - 0.05),
                               (radius - 0.012, ceiling - 0.03), (0, ceiling - 0.03)][::-1], 40))  # fmt: skip
@@ -149,9 +149,9 @@ def plant(
 
 
 def leaf_blade(length: float, width: float, droop: float, rows: int = 7) -> Shape:
-    """A pointed leaf from the origin along +x, folded along its midrib.
+    """Make a pointed leaf from the origin along +x, folded along its midrib.
 
-    ``droop``: drop of the tip, as a share of ``length``.
+    ``droop``: how far the tip hangs down, as a share of ``length``.
     """
     t = np.linspace(0, 1, rows)
     half = 0.5 * width * np.sin(np.pi * t**0.75) ** 0.8 * (1 - 0.25 * t) + 0.001

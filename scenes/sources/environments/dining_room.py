@@ -42,7 +42,7 @@ def dining_room(room: Room) -> None:
 
 
 def _panelling(room: Room) -> None:
-    """Add a dado rail to every wall, except at the door and the windows."""
+    """Add a dado rail to every wall, interrupted by the door and the windows."""
     w, z = room.builder, 0.92
     for wall in ("north", "east", "west", "south"):
         for low, high in room.clear_runs(wall, 0.09, 0.07):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fixtures of kitchens and bathrooms, added to a builder's part: back at y = 0, front towards -y; metres."""
+"""Fixtures of kitchens and bathrooms as parts of a builder: back at y = 0, front towards -y; metres."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from scenes.sources.shapes import (
 
 
 def basin_shape(width: float, length: float, depth: float) -> Shape:
-    """An open basin, ``width`` along x and ``length`` along y, with its rim at z = 0, its floor at -``depth``."""
+    """Make an open basin, ``width`` along x and ``length`` along y, from z = 0 down to -``depth``."""
     wall = 0.004
     rings = []
     for scale, z, extra in ((1.0, -0.001, 0.014), (1.0, 0.0025, 0.012), (1.0, 0.0025, 0.0), (0.985, -0.012, 0.0), (0.9, -0.85 * depth, 0.0),

@@ -23,7 +23,7 @@ def sofa(
     w: PartBuilder, part: str, *, width: float = 2.1, seats: int = 3, depth: float = 0.92, cover: str = "sofa", legs: str = "sofa_legs",
     cushions: tuple[str, ...] = (), seat_height: float = 0.43, seed: int = 0,
 ) -> None:  # fmt: skip
-    """Add an upholstered sofa or armchair: base, arms, back, loose seat and back cushions, scatter cushions."""
+    """Add an upholstered sofa or armchair; ``cushions``: slots of the scatter cushions."""
     arm, back = 0.19, 0.22
     inner = width - 2 * arm
     size, at = (inner + 0.02, depth - back + 0.03, 0.17), (0, -(depth + back) / 2 + 0.03, 0.11)
@@ -62,8 +62,7 @@ def table(
     w: PartBuilder, part: str, *, size: tuple[float, float], height: float, thick: float = 0.032, leg: float,
     shelf: float = 0.0, round_corner: float = 0.0,
 ) -> None:  # fmt: skip
-    """Add a table about the z axis, in the slot named ``part``: bevelled top, apron, tapered legs, optional
-    lower shelf."""
+    """Add a table about the z axis, in the slot named ``part``, with a shelf at height ``shelf`` if not 0."""
     sx, sy = size
     pieces = w[part, part]
     if round_corner:

@@ -2,8 +2,8 @@
 """The shell of a room: thick walls with openings, floor, ceiling, skirting, windows, doors.
 
 The interior is x in [-width/2, width/2], y in [-depth/2, depth/2], z in [0, height] [m]. In the *frame of a
-wall*, s = x points from the wall's centre to the right, seen from inside; the wall's face is at y = 0 and the room
-at y < 0. Furniture is modelled in such a frame, with its back at y = 0 and its front towards -y.
+wall*, s = x points from the wall's centre to the right, seen from inside; the wall's face is at y = 0 and the
+room at y < 0. Furniture is modelled in this frame, with its back at y = 0 and its front towards -y.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _WALLS = {"north": 0.0, "west": 90.0, "south": 180.0, "east": -90.0}
 
 @dataclass(frozen=True)
 class Window:
-    """A window centred at ``s`` along a wall, from z = ``sill`` to ``sill + height``; ``panes``: columns, rows."""
+    """A window centred at ``s`` along a wall, from z = ``sill`` upwards; ``panes``: columns and rows."""
 
     wall: str
     s: float
@@ -51,7 +51,9 @@ class Door:
 
 @dataclass
 class Room:
-    """Builds the shell of a room with a part builder, and adds the environment's markers to a collection."""
+    """Builds the shell of a room with a part builder, and adds the environment's markers (support surfaces,
+    light slots, openings, camera regions) to a collection.
+    """
 
     builder: PartBuilder
     collection: bpy.types.Collection
@@ -63,7 +65,7 @@ class Room:
     skirting: float = 0.09
 
     def frame(self, wall: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Origin (3,) of a wall's frame in the room, and its unit vectors to the right and out of the room."""
+        """Return the origin (3,) of a wall's frame and its unit vectors to the right and out of the room."""
         x = {"east": self.width / 2, "west": -self.width / 2}.get(wall, 0.0)
         y = {"north": self.depth / 2, "south": -self.depth / 2}.get(wall, 0.0)
         c, s = np.cos(np.radians(_WALLS[wall])), np.sin(np.radians(_WALLS[wall]))
@@ -73,19 +75,19 @@ class Room:
         return self.width if wall in ("north", "south") else self.depth
 
     def on_wall(self, wall: str, shape: Shape, s: float = 0.0, gap: float = 0.0, z: float = 0.0) -> Shape:
-        """Move a shape from a wall's frame into the room: ``s`` along the wall, ``gap`` away from it, up by ``z``."""
+        """Move a shape from a wall's frame to the room's: by ``s`` along the wall, ``gap`` off it, z up."""
         return shape.moved(s, -gap, z).turned("z", _WALLS[wall], self.frame(wall)[0])
 
     def add(
         self, name: str, wall: str = "", s: float = 0.0, gap: float = 0.0, z: float = 0.0, *, part: str = ""
     ) -> None:
-        """Add the shapes ``name`` of parts.yaml as a part, by default of the same name, placed at ``wall``, if given."""
+        """Add the part ``name`` of parts.yaml, renamed ``part`` if given; place it at ``wall`` if given."""
         add_parts(self.builder, {part or name: _PARTS[name]})
         if wall:
             self.place(wall, part or name, s, gap, z)
 
     def place(self, wall: str, part: str, s: float, gap: float = 0.0, z: float = 0.0) -> None:
-        """Place a part at a wall as :meth:`on_wall` does."""
+        """Place a part at a wall, with the arguments of :meth:`on_wall`."""
         origin, right, out = self.frame(wall)
         x, y, _ = origin + right * s - out * gap
         self.builder.place(part, x, y, z, _WALLS[wall])
@@ -98,9 +100,9 @@ class Room:
     def clear_runs(
         self, wall: str, door_gap: float, window_gap: float | None = None, least: float = 0.03
     ) -> Iterator[tuple[float, float]]:
-        """Yield the bounds in s of the free stretches of a wall that are longer than ``least``.
+        """Yield the bounds (s0, s1) of the stretches of a wall between openings, if longer than ``least``.
 
-        They keep the distance ``door_gap`` from doors and ``window_gap`` from windows (None: windows are ignored).
+        Stretches end ``door_gap`` before doors and ``window_gap`` before windows; None ignores windows.
         """
         gaps = [
             (d.s - d.width / 2 - door_gap, d.s + d.width / 2 + door_gap) for d in self.doors if d.wall == wall
@@ -143,12 +145,12 @@ class Room:
             belly = -reach + rng.uniform(-0.2, 0.2, (5, len(s)))
             heights = level + np.linspace(-0.05, 1, 5)[:, None] * (top - level)
             points = np.stack([np.broadcast_to(s, belly.shape), belly, heights], axis=-1)
-            # reversed: seen from inside, s decreases to the right
+            # reversed, since s decreases to the right when seen from the room
             self.builder["outside", "hedge"] += sheet(points[:, ::-1], 0.6).turned("z", degrees)
 
     def _wall(self, wall: str) -> Shape:
         holes = self.holes(wall)
-        # north and south walls also fill the corners; all walls extend into floor and ceiling against light leaks
+        # north and south walls fill the corners; against light leaks, walls extend into floor and ceiling
         half = self.length(wall) / 2 + (THICKNESS if wall in ("north", "south") else 0.0)
         xs = sorted({-half, half, *(v for hole in holes for v in hole[:2])})
         zs = sorted({-0.05, self.height + 0.05, *(v for hole in holes for v in hole[2:])})
@@ -251,7 +253,7 @@ class Room:
     def surface(
         self, name: str, kind: str, wall: str, s: float, width: float, near: float, far: float, z: float, clearance: float
     ) -> None:  # fmt: skip
-        """Add a support surface centred at ``s`` along a wall, between the distances ``near`` and ``far`` from it."""
+        """Add a support surface centred at ``s`` along a wall, from ``near`` to ``far`` metres off it."""
         origin, right, out = self.frame(wall)
         low, high = min(near, far), max(near, far)
         origin = origin + [0, 0, z] + right * (s - width / 2) - out * high
@@ -260,7 +262,7 @@ class Room:
     def surface_at(
         self, name: str, kind: str, centre: tuple[float, float], size: tuple[float, float], z: float, clearance: float
     ) -> None:  # fmt: skip
-        """Add a support surface: a rectangle about ``centre``."""
+        """Add a rectangular support surface centred at ``centre``."""
         (x, y), (width, depth) = centre, size
         origin = (x - width / 2, y - depth / 2, z)
         self._support(name, kind, origin, (width, 0, 0), (0, depth, 0), clearance)
@@ -271,7 +273,7 @@ class Room:
         self._rectangle("support_surface", name, origin, u, v, sm_kind=kind, sm_clearance_m=clearance)
 
     def area_slot(self, name: str, centre: Point, size: tuple[float, float]) -> None:
-        """Add a light slot: a rectangle about ``centre`` for a lamp that emits downwards."""
+        """Add a rectangular light slot centred at ``centre``, for an area light that emits downwards."""
         (x, y, z), (width, depth) = centre, size
         # u = +x, v = -y: their cross product points down
         origin = (x - width / 2, y + depth / 2, z)
@@ -313,7 +315,7 @@ class Room:
 
     # soft furnishings ------------------------------------------------------------------------------------
     def curtains(self, window: Window, slot: str, *, open_share: float = 0.62, seed: int = 0) -> None:
-        """Add a pair of curtains on a rail above a window; ``open_share`` is the uncovered share of the rail."""
+        """Add a pair of curtains on a rail above a window; ``open_share``: uncovered share of the rail."""
         rng = np.random.default_rng(seed)
         top = window.sill + window.height + 0.16
         bottom = 0.02

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shelves, books and cabinets, added to a builder's part: back at y = 0, front towards -y, on z = 0; metres."""
+"""Shelves, books and cabinets as parts of a builder: back at y = 0, front towards -y, on z = 0; metres."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def shelf_unit(
 
 
 def book(width: float, height: float, depth: float) -> tuple[Shape, Shape]:
-    """The cover and pages of a standing book with its spine to the front, its lower back edge at the origin."""
+    """Make the cover and pages of a standing book, with its back at y = 0 and its spine towards -y."""
     t = 0.0025
     cover = box((t, depth, height), (-width / 2 + t / 2, -depth / 2, 0), 0) + box(
         (t, depth, height), (width / 2 - t / 2, -depth / 2, 0), 0
@@ -52,7 +52,7 @@ def book(width: float, height: float, depth: float) -> tuple[Shape, Shape]:
 def book_row(
     w: PartBuilder, covers: tuple[str, ...], start: Point, width: float, height: float, seed: int
 ) -> None:
-    """Add a row of books from ``start`` along x, in front of its y; the last book leans."""
+    """Add a row of random books, ``width`` long, from ``start`` along x; the last book leans."""
     rng, depth = np.random.default_rng(seed), 0.19
     x, y, z = start
     at = x
@@ -85,9 +85,9 @@ def cabinet(
     slot: str = "", top: str = "", handle: str = "hardware", plinth: float = 0.08, overhang: float = 0.012,
     panelled: bool = False, top_thick: float = 0.025,
 ) -> None:  # fmt: skip
-    """Add a chest, sideboard or kitchen base unit of ``size`` (width, depth, height): carcass, plinth, fronts,
-    with frames and knobs if ``panelled``. ``rows``: relative heights of the rows of fronts, from the top;
-    ``slot``: ``part`` by default.
+    """Add a chest, sideboard or kitchen base unit of ``size`` (width, depth, height). ``rows``: relative
+    heights of the rows of fronts, from the top, which have frames and knobs if ``panelled``; ``slot``:
+    ``part`` by default.
     """
     width, depth, height = size
     slot = slot or part
@@ -126,8 +126,8 @@ def cabinet(
 
 
 def _pull(at: Point, fw: float, fh: float, side: int, knobs: bool) -> Shape:
-    """The handle or knob of a front ``fw`` wide and ``fh`` high with its lower middle ``at``; a door has it
-    on the left (``side`` -1) or right (1)."""
+    """Make the handle or knob of a front ``fw`` wide and ``fh`` high, whose bottom centre is ``at``; on a
+    door, it is on the left (``side`` -1) or right (1)."""
     x, y, z = at
     is_drawer = fh < 0.34
     if knobs:
@@ -149,5 +149,5 @@ def _pull(at: Point, fw: float, fh: float, side: int, knobs: bool) -> Shape:
 
 
 def bent_bar(path: list[Point]) -> Shape:
-    """A bar handle along the four points of ``path``, with thinner ends."""
+    """Make a bar handle along the four points of ``path``."""
     return join([tube(path[k : k + 2], radius, 8) for k, radius in enumerate((0.005, 0.006, 0.005))])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Materials that show a picture over the UV unit square, for frames, book covers and clock dials."""
+"""Materials with a picture on the UV unit square, for frames, book covers and clock dials."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def portrait(g: Graph, ground: Color, skin: Color, coat: Color, seed: float = 1.
 
 
 def dial(g: Graph, ground: Color, ink: Color) -> Material:
-    """A clock's face: twelve long and sixty short marks about the centre of the square."""
+    """The face of a clock: twelve long and sixty short marks around the centre of the UV square."""
     u, v = g.uv()
     x, y = u - 0.5, v - 0.5
     radius = g.length((x, y))

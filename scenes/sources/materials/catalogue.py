@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The library's materials, and the tables of materials, objects and rooms from which slots are read."""
+"""The library's materials and the slots of objects and rooms, read from YAML tables."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ SOURCES = Path(__file__).parents[1]
 
 @dataclass(frozen=True)
 class MaterialSource:
-    """The source of a material. ``surfaces``: kinds of surface that it usually covers, or none: as its classes;
-    ``tile_size_m``: length of a UV unit; ``max_px``: maximum side of a texture.
+    """The source of a material. ``surfaces``: kinds of surface on which it is common, empty if only its class
+    matters; ``tile_size_m``: length of a UV unit; ``max_px``: maximum side of a baked texture.
     """
 
     title: str
@@ -52,7 +52,7 @@ class Slot:
 
 
 def table(name: str) -> dict[str, Any]:
-    """Read the YAML file ``name`` of this package; sRGB codes ``"#rrggbb"`` become linear, lists tuples."""
+    """Read the YAML file ``name``; convert sRGB codes ``"#rrggbb"`` to linear colours, lists to tuples."""
     return _converted(yaml.safe_load((SOURCES / name).read_text(encoding="utf-8")))
 
 
@@ -86,7 +86,7 @@ def _slot(
 
 
 def slots_of(rows: dict[str, dict[str, Any]]) -> dict[str, Slot]:
-    """The slots of an object or room by name, from the rows of its table."""
+    """Make the slots of an object or room by name, from the rows of its table."""
     return {name: _slot(**row) for name, row in rows.items()}
 
 

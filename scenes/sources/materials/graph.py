@@ -51,8 +51,8 @@ class Output:
 
 @dataclass(frozen=True)
 class Cells:
-    """Outputs of a lattice: ``number`` of the cell, position ``x`` and ``y`` in [0, 1) in it, and ``edge``, the
-    distance to its border as a share of the tile's side.
+    """Outputs of a lattice: ``number`` of the cell, position ``x`` and ``y`` in [0, 1) inside the cell, and
+    ``edge``, the distance to the cell's border as a share of the tile's side.
     """
 
     number: Output
@@ -74,14 +74,14 @@ class Graph:
 
     # nodes and links -------------------------------------------------------------------------------------
     def node(self, kind: str, **settings: object) -> bpy.types.Node:
-        """Add a node; keyword arguments are its properties."""
+        """Add a node of Blender's type ``kind``; keyword arguments set its properties."""
         node = self.tree.nodes.new(kind)
         for key, value in settings.items():
             setattr(node, key, value)
         return node
 
     def feed(self, target: bpy.types.NodeSocket, value: Value | ColorValue) -> None:
-        """Link an output to the input ``target``, or set its constant."""
+        """Link an output to the input ``target``, or set the input to a constant."""
         if isinstance(value, Output):
             self.tree.links.new(value.socket, target)
         elif isinstance(value, tuple) and len(target.default_value) == 4:
@@ -101,7 +101,7 @@ class Graph:
         return self.out(node)
 
     def length(self, parts: Iterable[Value]) -> Output:
-        """Length of the vector with the two components ``parts``."""
+        """Compute the length of the vector with the two components ``parts``."""
         a, b = (part**2.0 for part in parts)
         return self.math("SQRT", a + b)
 
@@ -192,7 +192,7 @@ class Graph:
         self, cells_u: float, cells_v: float | None = None, feature: str = "F1", seed: Value = 0.0,
         warp: Value | None = None,
     ) -> dict[str, Output]:  # fmt: skip
-        """The outputs of periodic cellular noise by name: Distance and, unless it is to an edge, Color."""
+        """Return the outputs of a periodic Voronoi texture by name (Distance, Color, ...)."""
         vector, w = self.torus(cells_u, cells_u if cells_v is None else cells_v, seed)
         node = self.node("ShaderNodeTexVoronoi", voronoi_dimensions="4D", feature=feature)
         self.feed(node.inputs["Vector"], vector)
@@ -210,8 +210,8 @@ class Graph:
         return self.out(node, "Value")
 
     def cells(self, columns: int, rows: int, shift: str = "none", jitter_seed: float = 0.0) -> Cells:
-        """A lattice of ``columns`` x ``rows`` cells. ``shift`` moves odd rows by half a cell (``half``), or each
-        row by a random amount (``random``) seeded by ``jitter_seed``.
+        """A lattice of ``columns`` x ``rows`` cells. ``shift``: ``half`` moves odd rows by half a cell,
+        ``random`` each row by a random amount seeded by ``jitter_seed``.
         """
         u, v = self.uv()
         y = v * rows
@@ -237,7 +237,7 @@ class Graph:
         return self.math("MULTIPLY_ADD", self.math("SINE", angle), 0.5, 0.5)
 
     def periodic_distance(self, centre: tuple[float, float], stretch: float = 1.0) -> Output:
-        """Distance to a point of the periodic tile, across its borders; ``stretch`` scales distances along v."""
+        """Distance to the nearest periodic copy of ``centre``; ``stretch`` scales distances along v."""
 
         def along(coordinate: Output, c: float, factor: float) -> Output:
             away = abs(self.math("WRAP", coordinate + (0.5 - c), 1.0, 0.0))

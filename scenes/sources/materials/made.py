@@ -11,7 +11,7 @@ from scenes.sources.materials.graph import Color, Graph, Value, srgb
 def brushed_metal(
     g: Graph, color: Color, *, rough: float = 0.28, spread: float = 0.14, prints: bool = False, seed: float = 1.0
 ) -> Material:  # fmt: skip
-    """Metal brushed along u, with strokes and, if ``prints``, fingerprints in the roughness."""
+    """Metal brushed along u: strokes and, with ``prints``, fingerprints vary its roughness."""
     stroke = g.noise(3, 210, detail=2, seed=seed, spread=0.3)
     value: Value = g.line(stroke, 0, 1, rough - spread / 2, rough + spread / 2)
     value += g.scratches(seed + 3, 0.35) * 0.15
@@ -52,10 +52,8 @@ def moulded(
     g: Graph, color: Color, *, rough: float = 0.4, grain: float = 0.1, scratched: float = 0.0, cells: float = 60.0,
     ior: float = 1.5, tint: float = 0.0, seed: float = 1.0, prints: bool = False,
 ) -> Material:  # fmt: skip
-    """Plastic, rubber, enamel or glaze of one colour, with grain, scratches and fingerprints in the
-    roughness.
-
-    ``tint`` > 0 also varies the colour.
+    """Plastic, rubber, enamel or glaze of one colour; grain, scratches and fingerprints vary its roughness,
+    and ``tint`` > 0 its colour.
     """
     value: Value = g.line(
         g.noise(cells, detail=2, seed=seed, spread=0.3), 0, 1, rough - grain / 2, rough + grain / 2
@@ -120,7 +118,7 @@ def tiles(
     cloud: float = 0.05, ior: float = 1.55,
 ) -> Material:  # fmt: skip
     """Glazed or stone tiles with matt grout; tone and gloss vary by tile. ``joint``: width of the joints as a
-    share of the texture's side; ``second``: a second glaze for random mixing or, with ``checker``, alternation.
+    share of the texture's side; ``second``: a second glaze, at random or, with ``checker``, chequered.
     """
     cell = g.cells(*grid, shift=shift, jitter_seed=seed)
     tone = g.random(cell.number, seed)
@@ -148,8 +146,8 @@ def paint(
     g: Graph, color: Color, *, rough: float = 0.5, stipple: float = 0.1, chips: float = 0.0, under: Color = (0.3, 0.3, 0.3),
     under_metal: float = 0.0, prints: bool = False, cells: float = 50.0, seed: float = 1.0,
 ) -> Material:  # fmt: skip
-    """Paint with roller stipple and, with ``prints``, fingerprints in its roughness; ``chips``: amount of chips,
-    which expose the colour ``under``.
+    """Paint; roller stipple and, with ``prints``, fingerprints vary its roughness. ``chips``: amount of
+    flaked patches, which expose the colour ``under``.
     """
     value: Value = g.line(
         g.noise(cells, detail=3, seed=seed, spread=0.28), 0, 1, rough - stipple / 2, rough + stipple / 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Functions that build natural materials: wood, stone, leather, woven fabric, paper, cork etc."""
+"""Functions that build natural materials: wood, stone, leather, fabric, paper, cork, fruit skin."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ def wood(
     contrast: float = 1.0, gloss: float = 0.42, prints: bool = False, seed: float = 1.0, wear: float = 0.0,
     gap: float = 0.0012,
 ) -> Material:  # fmt: skip
-    """Sawn wood with its grain along u. ``planks``: columns and rows of boards; ``prints``: whether the lacquer
-    has fingerprints; ``wear``: amount of patches without varnish."""
+    """Sawn wood with its grain along u. ``planks``: columns and rows of boards; ``prints`` adds fingerprints
+    to the lacquer; ``wear``: amount of patches without varnish."""
     shift: Value = seed
     tone: Value = 0.5
     if planks:
@@ -130,7 +130,7 @@ def weave(
     fuzz: float = 0.3, seed: float = 1.0, warp_stripe: tuple[int, Color] | None = None,
     weft_stripe: tuple[int, Color] | None = None,
 ) -> Material:  # fmt: skip
-    """Woven cloth of ``threads`` along each side of a tile; the warp passes over ``twill`` threads (1: plain weave).
+    """Woven cloth of ``threads`` per tile; warp threads pass over ``twill`` weft threads (1: plain weave).
 
     A stripe (count, colour) recolours every other group of ``count`` threads; two stripes make a check.
     """
@@ -207,7 +207,7 @@ def paper(
 def print_lines(
     g: Graph, ground: Color, ink: Color, *, rows: int = 26, gloss: float = 0.6, seed: float = 1.0
 ) -> Material:
-    """Printed text: ``rows`` lines of words of random length in two columns; the ink is glossier than the paper."""
+    """Two columns of printed text with ``rows`` lines of random words; the ink is glossier than the paper."""
     column = g.cells(2, 1)
     margin = g.math("MINIMUM", column.x, 1.0 - column.x) > 0.07
     letters = g.cells(150, rows)

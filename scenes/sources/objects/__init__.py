@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sources of objects: tables in objects.yaml, and modules that build the shapes that are computed."""
+"""Sources of objects: a table in objects.yaml, and modules for the objects whose shapes are computed."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from scenes.sources.parts import Parts, add_parts
 
 @dataclass(frozen=True)
 class ObjectSource:
-    """An object's source. ``supports``: kinds of support surface; ``scale``: range of its scale factor;
-    ``yaw_deg``: largest rotation from facing -Y.
+    """The source of an object. ``supports``: kinds of surface on which it can stand; ``scale``: range of its
+    scale factor; ``yaw_deg``: largest rotation away from facing -Y.
     """
 
     title: str

@@ -21,7 +21,7 @@ from scenes.sources.shapes import (
 
 
 def lying_book(thick: float, length: float, deep: float) -> tuple[Shape, Shape]:
-    """The cover and pages of a book that lies on z = 0, about the z axis, with its spine towards -y."""
+    """Make the cover and pages of a book that lies on z = 0, about the z axis, with its spine towards -y."""
     cover, pages = storage.book(thick, length, deep)
     place = [shape.turned("y", 90, (-length / 2, deep / 2, thick / 2)) for shape in (cover, pages)]
     return place[0], place[1]

@@ -21,7 +21,7 @@ from scenes.sources.shapes import (
 
 
 def unit(shape: Shape) -> Shape:
-    """The shape with UVs scaled to [0, 1], for a texture that covers the fruit exactly once."""
+    """Return the shape with UVs scaled to [0, 1], for a texture that covers the fruit exactly once."""
     low, high = shape.uvs.min(axis=0), shape.uvs.max(axis=0)
     return Shape(shape.points, shape.faces, (shape.uvs - low) / (high - low), True)
 
@@ -98,7 +98,7 @@ def banana(length: float = 0.19, bend_degrees: float = 78.0) -> Shape:
 
 
 def bananas(w: PartBuilder) -> None:
-    """A hand of four bananas that rests on its blossom ends and its crown."""
+    """Add a hand of four bananas that rests on its blossom ends and its crown."""
     height = 0.0115  # height of the stalks above the table at the crown
     for k, (yaw, bend, length) in enumerate(
         ((-29, 84, 0.178), (-10, 77, 0.19), (9, 76, 0.192), (28, 83, 0.181))

@@ -45,8 +45,8 @@ def toy_bear(w: PartBuilder) -> None:
 
 
 def _hull(stations: np.ndarray, tumblehome: float, sharpness: float, segments: int = 28) -> Shape:
-    """A car's body through ``stations`` (k, 4) of x, half width, bottom and top. Its sections are superellipses of
-    exponent ``sharpness``, narrowed by the share ``tumblehome`` at the top."""
+    """Make a car's body through cross-sections ``stations`` (k, 4): x, half width, bottom, top. They are
+    superellipses of exponent ``sharpness``, narrowed by the share ``tumblehome`` at the top."""
     rows = smooth_curve(stations, 3)
     angle = 2 * np.pi * (np.arange(segments) + 0.5) / segments
     c, s = np.cos(angle), np.sin(angle)
@@ -66,7 +66,7 @@ def _half_ring(radius: float, x: float, y: float, z: float, degrees: tuple[float
 
 
 def toy_car(w: PartBuilder) -> None:
-    """A die-cast saloon car 15 cm long: body, glass with pillars, arches, bumpers, lamps, door seams."""
+    """Add a die-cast saloon car 15 cm long: body, glass with pillars, arches, bumpers, lamps, door seams."""
     body = [
         (-0.0745, 0.0235, 0.0205, 0.034), (-0.0715, 0.029, 0.0165, 0.0395), (-0.061, 0.0325, 0.0135, 0.0435),
         (-0.036, 0.0336, 0.0125, 0.0465), (-0.02, 0.034, 0.0125, 0.0482), (0.02, 0.0342, 0.0125, 0.049),
@@ -134,7 +134,7 @@ def _side_of_body(z: float) -> float:
 
 
 def _wheel(w: PartBuilder, x: float, side: int) -> None:
-    """Add a wheel: a tyre with a groove, a hub and a cap; the outer face is 36 mm from the car's mid-plane."""
+    """Add a wheel of tyre, hub and cap; its outer face is 36 mm from the car's mid-plane."""
     tyre = [(0, 0), (0.0135, 0), (0.0166, 0.0012), (0.0175, 0.0034), (0.0175, 0.0056), (0.0169, 0.006),
             (0.0169, 0.0066), (0.0175, 0.007), (0.0175, 0.0092), (0.0166, 0.0114), (0.0135, 0.0124),
             (0.0118, 0.0116), (0, 0.0116)]  # fmt: skip

@@ -48,7 +48,7 @@ def _upper(
 
 @dataclass(frozen=True)
 class _Shoe:
-    """A right shoe in metres; ``heights``: heights of toe, instep and heel; ``thick``: thickness of the sole."""
+    """A right shoe in metres; ``heights`` of toe, instep and heel; ``thick``: thickness of the sole."""
 
     length: float = 0.285
     width: float = 0.102
