@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Free camera positions outside solids, in an environment's camera regions or in view of its cameras."""
+"""Finds free camera positions in an environment's camera regions, else in view of its own cameras."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from datagen.formats.asset import EnvironmentAsset
 from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
 
-NUM_PROBE_RAYS = 96  # cast in all directions from a camera position, 15 degrees between neighbours
+NUM_PROBE_RAYS = 96  # cast in all directions from a camera position, 20 degrees between neighbours
 _REACH_M = 6.0  # without camera regions, free space extends this far from the environment's cameras
 _MAX_BACK_SHARE = 0.35  # a camera is inside a solid if more than this share of probe rays hits back faces
 _MAX_OPEN_SHARE = 0.75  # a camera is outside the room if more than this share of probe rays hits nothing
@@ -34,7 +34,7 @@ class FreeSpace:
     height_m: tuple[float, float]
 
     def check(self) -> None:
-        """Raise :class:`InputError` without camera regions and cameras, or if all regions are too low."""
+        """Raise :class:`InputError` if there are no camera regions and no cameras, or all regions are low."""
         where = f"environment {self.environment.id}"
         if not self.environment.camera_regions and not self.environment.cameras:
             expected, remedy = "a camera region or a camera", "add one to the room's asset.json"
@@ -87,10 +87,7 @@ class FreeSpace:
         return has_consistent_winding(self.rays, [*starts, *above_supports(self.environment)])
 
     def fault(self, position: Floats, clearance_m: float) -> str:
-        """Return why a position (3,) is not free, or ''.
-
-        The reasons are ``inside_solid``, ``too_close`` (a surface within ``clearance_m``) and ``outside``.
-        """
+        """Return why a position (3,) is not free: ``inside_solid``, ``too_close`` or ``outside``, else ''."""
         return self._faults(position[None], clearance_m)[0]
 
     def _faults(self, positions: Floats, clearance_m: float) -> list[str]:

@@ -42,10 +42,7 @@ class GeneratedRoom:
 
 
 def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoom | None:
-    """Generate the room of an attempt at planning configuration ``index``.
-
-    Returns None if the configuration uses a room of the library.
-    """
+    """Generate the room of an attempt at configuration ``index``; return None if it has a library room."""
     wanted = recipe.environments.parametric
     draws = Draws(recipe.seed, index, "parametric")
     if wanted is None or not draws.chance(wanted.share):
@@ -56,7 +53,7 @@ def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoo
 
 
 def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> GeneratedRoom | None:
-    """Generate the room of a planned configuration again; return None if it is a room of the library.
+    """Generate the room of a planned configuration again; return None if it has a library room.
 
     Raises :class:`ValueError` if none of the first ``num_tries`` attempts has the room's asset id.
     """

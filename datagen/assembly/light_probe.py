@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A small diffuse path tracer that sets light intensities and detects dark views.
+"""A small diffuse path tracer, used to set light intensities and to reject dark views.
 
 Surfaces are diffuse with albedo D (1 - S) + S, the reflectance of the project's BSDF at normal incidence.
 Radiance is returned separately for each group of lights, so that intensities can be changed without tracing

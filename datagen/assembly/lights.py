@@ -40,7 +40,7 @@ _PANEL_TRIES = 60
 
 @dataclass(frozen=True)
 class PlannedGroup:
-    """Lights with a common intensity factor; ``slots`` are emissive slots as (asset index, slot), room first.
+    """Lights with a common intensity factor; ``slots``: emissive slots as (asset index, slot), 0: the room.
 
     ``share`` is the range of the group's share of the irradiance, before the groups' shares are normalised.
     """
@@ -116,7 +116,7 @@ def plan_lights(
 def _without_overlap(
     fresh: list[PlannedGroup], groups: list[PlannedGroup], rejections: Counter[str]
 ) -> list[PlannedGroup]:
-    """Return ``fresh`` without groups whose area lights overlap one in ``groups``, which are counted."""
+    """Drop the groups of ``fresh`` whose area lights overlap one in ``groups``, and count them."""
     kept = []
     for group in fresh:
         others = [light for other in groups for light in other.lights if isinstance(light, AreaLight)]

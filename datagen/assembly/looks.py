@@ -33,7 +33,7 @@ _JOINERY_WEIGHTS = (0.78, 0.13, 0.09)
 _ACCENTS: tuple[Interval, ...] = ((0.01, 0.11), (0.11, 0.18), (0.22, 0.45), (0.5, 0.64), (0.93, 1.0))
 _ACCENT_WEIGHTS = (0.32, 0.12, 0.24, 0.27, 0.05)
 """Weights of the accent hues earth, ochre, green, blue and rose (ranges in turns)."""
-ACCENT_SPREAD = 0.03  # range of hues within one accent, in turns
+ACCENT_SPREAD = 0.03  # largest deviation from the accent hue, in turns
 
 
 @dataclass(frozen=True)

@@ -143,8 +143,7 @@ def _placed_assets(
     library: Library,
 ) -> tuple[list[PlacedAsset], list[Package]]:
     """Assign *likely* or *wild* materials (see :class:`datagen.formats.recipe.Variation`); return the placed
-    assets and their packages, with the room first.
-    """
+    assets and their packages, with the room first."""
     packages = [environment] + [library.package(t.thing.asset.id) for t in things]
     weights, draws = recipe.materials.variation, Draws(*key[:2], "style")
     likely = None

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Distributes configurations and, with ``splits.disjoint``, assets over train, validation and test.
 
-Splits are interleaved by index in exact arithmetic, so any prefix of a dataset has nearly the set shares.
+Splits are interleaved by index in exact arithmetic, so any prefix of a dataset has roughly these shares.
 With ``splits.disjoint``, each pool of assets (environments, objects of one category, materials of one main
 class) is distributed in the order of hashed ids. To prevent leakage through copies, rooms and objects with
 the same largest mesh go to one split, as do materials that share an image. A slot of a room or object whose
@@ -202,7 +202,7 @@ def _identifying_files(package: Package) -> list[str]:
 
 
 def _foreign_slots(pools: Pools, home: dict[str, Split]) -> frozenset[tuple[str, str]]:
-    """Return (asset id, slot) of slots of rooms and objects whose material has an image of another split.
+    """Find slots, as (asset id, slot), of rooms and objects whose material has an image of another split.
 
     An image belongs to the split of the first material that contains it, else of the first room or object.
     """

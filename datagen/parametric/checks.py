@@ -233,7 +233,7 @@ def cell_of(shell: Shell, place: tuple[float, float]) -> tuple[int, int]:
 
 
 def front_zone(item: Placed, depth: float) -> Floats:
-    """Return the extreme corners (2, 2) of the floor area up to ``depth`` metres in front of an item."""
+    """Return the bounds (2, 2) in x and y of the floor area up to ``depth`` metres in front of an item."""
     b = item.item.bounds
     corners = np.array([[x, y, 0.0] for x in b[:, 0] for y in (b[0, 1], b[0, 1] - depth)])
     matrix = item.room_from_item

@@ -58,7 +58,7 @@ _EXTRAS: Mapping[str, Callable[[Style, Draws], Item]] = {
     "trolley": storage.trolley,
     "stool": lambda style, draws: seating.stool(style, draws, draws.choice((0.45, 0.6))),
 }
-"""Makers, by name, of randomly sized furniture that stands along the walls of many kinds of room."""
+"""Functions by name that make furniture of random size, for the walls of many kinds of room."""
 
 
 def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: float) -> None:

@@ -150,8 +150,6 @@ class Furnisher:
             if p.item.hold in ("floor", "wall") and p.item.name != "rug"
         )
 
-    # rules
-
     def at_wall(
         self,
         item: Item,

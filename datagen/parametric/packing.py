@@ -55,7 +55,7 @@ def room_id(kind: str, seed: str, has_scenery: bool = True) -> str:
 
 
 def room_package(kind: str, seed: str, has_scenery: bool = True) -> tuple[bytes, Package]:
-    """Generate the room of a kind and seed; return its package as zip bytes and opened in memory."""
+    """Generate the room of a kind and seed; return its package as zip bytes, and opened in memory."""
     return package_of(make_room(kind, seed, has_scenery))
 
 

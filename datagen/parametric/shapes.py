@@ -76,7 +76,7 @@ def joined(shapes: Sequence[Shape]) -> Shape:
 
 @lru_cache(maxsize=1)
 def _box_topology() -> tuple[Ints, Ints, Ints]:
-    """Return the faces (44, 3) of a bevelled box, and the axis (24,) and signs (24, 3) of its vertices."""
+    """Return faces (44, 3) of a bevelled box and, by vertex, normal axis (24,) and corner signs (24, 3)."""
     signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     axis_sign = [(a, s) for a in range(3) for s in (-1, 1)]
     vertex: dict[tuple[int, tuple[int, ...]], int] = {}

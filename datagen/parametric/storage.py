@@ -67,7 +67,7 @@ def bedside(style: Style, draws: Draws) -> Item:
 
 
 def sideboard(style: Style, draws: Draws, width: float, height: float = 0.78) -> Item:
-    """Make a low cabinet of ``width`` by ``height`` metres, with doors or doors and drawers."""
+    """Make a low cabinet of ``width`` by ``height`` metres with doors, and perhaps drawers above them."""
     count = max(2, round(width / 0.5))
     rows = [("door", 0.46), ("drawer", 0.17)] if height > 0.6 and draws.chance(0.6) else [("door", 0.5)]
     size = (width, draws.uniform(0.4, 0.47), height)

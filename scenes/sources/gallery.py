@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Renders one picture per kind of asset, with previews of all assets, for docs/library.md."""
+"""Renders contact sheets of all assets, one per kind of asset, for docs/library.md."""
 
 from __future__ import annotations
 

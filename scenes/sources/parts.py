@@ -130,7 +130,7 @@ def add_parts(builder: PartBuilder, parts: Parts) -> None:
 
 
 def shapes_of(keys: dict[str, Any]) -> Iterator[Shape]:
-    """Yield the shapes that a dict of a table's row describes."""
+    """Yield the shapes that ``keys``, the value of a slot in a table's row, describes."""
     for key in {"at", "moved"} & keys.keys():
         if isinstance(keys[key][0], tuple):
             for place in keys[key]:

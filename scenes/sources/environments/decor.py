@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lamps, rugs, pictures, radiators and plants, added to a builder's part; metres."""
+"""Lamps, rugs, pictures, radiators and plants as parts of a builder; metres."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Seating and tables, added to a builder's part: back at y = 0, front towards -y, on z = 0; metres."""
+"""Seating and tables as parts of a builder: back at y = 0, front towards -y, on z = 0; metres."""
 
 from __future__ import annotations
 

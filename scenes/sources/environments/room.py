@@ -51,9 +51,7 @@ class Door:
 
 @dataclass
 class Room:
-    """Builds the shell of a room with a part builder, and adds the environment's markers (support surfaces,
-    light slots, openings, camera regions) to a collection.
-    """
+    """Builds a room's shell with a part builder, and markers (supports, openings ...) in a collection."""
 
     builder: PartBuilder
     collection: bpy.types.Collection
@@ -75,7 +73,7 @@ class Room:
         return self.width if wall in ("north", "south") else self.depth
 
     def on_wall(self, wall: str, shape: Shape, s: float = 0.0, gap: float = 0.0, z: float = 0.0) -> Shape:
-        """Move a shape from a wall's frame to the room's: by ``s`` along the wall, ``gap`` off it, z up."""
+        """Move a shape ``s`` to the right, ``gap`` off the wall, ``z`` up; return it in the room's frame."""
         return shape.moved(s, -gap, z).turned("z", _WALLS[wall], self.frame(wall)[0])
 
     def add(
