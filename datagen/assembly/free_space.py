@@ -34,7 +34,7 @@ class FreeSpace:
     height_m: tuple[float, float]
 
     def check(self) -> None:
-        """Raise :class:`InputError` if there are no camera regions and no cameras, or all regions are low."""
+        """Raise :class:`InputError` if there are neither regions nor cameras, or all regions are too low."""
         where = f"environment {self.environment.id}"
         if not self.environment.camera_regions and not self.environment.cameras:
             expected, remedy = "a camera region or a camera", "add one to the room's asset.json"
@@ -51,7 +51,7 @@ class FreeSpace:
 
     @cached_property
     def _regions(self) -> list[tuple[Floats, Floats, float]]:
-        """Camera regions cut to the camera heights, as (lower corner (3,), upper corner (3,), area in m²)."""
+        """Camera regions clipped to the camera heights: lower corner (3,), upper corner (3,), area in m²."""
         found = []
         for region in self.environment.camera_regions:
             low, high = np.array(region.minimum_m), np.array(region.maximum_m)

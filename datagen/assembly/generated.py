@@ -42,7 +42,7 @@ class GeneratedRoom:
 
 
 def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoom | None:
-    """Generate the room of an attempt at configuration ``index``; return None if it has a library room."""
+    """Generate the room for an attempt at planning configuration ``index``; None if it has a library room."""
     wanted = recipe.environments.parametric
     draws = Draws(recipe.seed, index, "parametric")
     if wanted is None or not draws.chance(wanted.share):

@@ -44,7 +44,7 @@ class Lighting:
     mean_irradiance: float
 
     def shows_light(self, origins: Floats, directions: Floats, hits: Hits) -> NDArray[np.bool_]:
-        """Mask (R,) of rays (R, 3) that hit an emissive triangle or, before ``hits``, a visible light."""
+        """Mask (R,) of rays (R, 3) whose first hit is on an emissive triangle or visible area light."""
         shown = np.zeros(len(directions), dtype=bool)
         for group, gain in zip(self.probe.groups, self.gains, strict=True):
             if gain > 0 and group.emitters is not None:

@@ -200,7 +200,7 @@ def _vector(value: Floats) -> tuple[float, float, float]:
 
 
 def is_blocked(light: AreaLight, rays: RayScene) -> bool:
-    """Return whether geometry intersects an area light, or is within 15 cm in front of over 25 % of it."""
+    """Return whether geometry intersects an area light or lies within 15 cm in front of over 25 % of it."""
     side = Rectangle.of(light)
     u, v, normal = side.u, side.v, side.normal
     steps = (np.arange(4) + 0.5) / 4

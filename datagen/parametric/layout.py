@@ -241,11 +241,7 @@ class Furnisher:
         )  # fmt: skip
 
     def on(self, item: Item, host: Placed, x: float, y: float) -> Placed | None:
-        """Place an item on a host's first support.
-
-        Its origin is ``x`` metres to the right of the support's middle and ``y`` metres in front of the
-        support's back edge.
-        """
+        """Place an item on a host's first support, ``x`` m right of its middle, ``y`` m off its rear edge."""
         support = host.item.supports[0]
         back = support.middle[1] + support.size[1] / 2 - y
         at = host.point(support.middle[0] + x, back, support.z)

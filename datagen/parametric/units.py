@@ -70,7 +70,7 @@ def _worktop(item: Item, x0: float, x1: float, hole: tuple[float, float, float, 
 def kitchen_run(style: Style, draws: Draws, modules: list[str], has_wall_units: bool) -> Item:
     """Make a row of kitchen ``modules``, each 0.6 m wide, under a worktop 0.62 m deep.
 
-    Kinds: ``sink``, ``hob``, ``drawers``, ``doors``, ``washer``; only at the ends: ``tall``, ``fridge``.
+    A module is ``sink``, ``hob``, ``drawers``, ``doors``, ``washer`` or, at an end, ``tall`` or ``fridge``.
     """
     item = Item("kitchen_run", front_m=0.8)
     width = 0.6 * len(modules)

@@ -89,7 +89,7 @@ class PartBuilder:
         return self._materials[name]
 
     def mesh(self, part: str) -> bpy.types.Mesh:
-        """Create the mesh of a part's shapes, with a material slot for each slot."""
+        """Create the Blender mesh of a part's shapes, with one material per slot."""
         pieces = self.parts[part]
         names = list(dict.fromkeys(slot for slot, _ in pieces))
         points, faces, uvs, indices, offset = [], [], [], [], 0

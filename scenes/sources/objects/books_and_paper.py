@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Books, magazines, boxes and baskets."""
+"""Functions that model books, magazines, boxes and baskets."""
 
 from __future__ import annotations
 

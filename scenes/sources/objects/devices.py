@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Electronics."""
+"""Functions that model electronic devices."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fruit."""
+"""Functions that model fruit."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Crockery, kitchenware, ornaments, tools and vases whose shapes are computed."""
+"""Functions that model crockery, kitchenware, ornaments, tools and vases."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cushions and plants."""
+"""Functions that model cushions and plants."""
 
 from __future__ import annotations
 

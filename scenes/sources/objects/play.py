@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Toys."""
+"""Functions that model toys."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shoes."""
+"""Functions that model shoes."""
 
 from __future__ import annotations
 
