@@ -106,7 +106,7 @@ class FreeSpace:
     def points(self, count: int, clearance_m: float, draws: Draws, rejections: Counter[str]) -> Floats:
         """Draw up to ``count`` free positions (P, 3) in at most ``8 * count`` tries.
 
-        ``rejections`` counts the others by reason. Raises :class:`InputError` if no position is free.
+        ``rejections`` counts the rest by reason. Raises :class:`InputError` if no position is free.
         """
         found: list[Floats] = []
         tries = 8 * count

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Distributes configurations and, with ``splits.disjoint``, assets over train, validation and test.
 
-Splits are interleaved by index in exact arithmetic, so any prefix of a dataset has about the right shares.
+Splits are interleaved by index in exact arithmetic, so any prefix of a dataset has about the given shares.
 With ``splits.disjoint``, each pool of assets (environments, objects of one category, materials of one main
 class) is distributed in the order of hashed ids. To prevent leakage through copies, rooms and objects with
 the same largest mesh go to one split, as do materials that share an image. A slot of a room or object whose

@@ -324,7 +324,7 @@ def _cap(ring: NDArray, outward: NDArray, radius: float) -> NDArray:
 
 
 def loft(sections: ArrayLike, capped: bool = True) -> Shape:
-    """A surface through closed rings (k, m, 3), counter-clockwise from the last, closed if ``capped``."""
+    """A surface through closed rings (k, m, 3), counter-clockwise seen from the last; ``capped`` or open."""
     rings = np.asarray(sections, dtype=float)
     if capped:
         ends = []

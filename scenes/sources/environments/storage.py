@@ -86,8 +86,7 @@ def cabinet(
     panelled: bool = False, top_thick: float = 0.025,
 ) -> None:  # fmt: skip
     """Add a chest, sideboard or kitchen base unit of ``size`` (width, depth, height). ``rows``: relative
-    heights of the rows of fronts, from the top, which have frames and knobs if ``panelled``; ``slot``:
-    ``part`` by default.
+    heights of the rows of fronts, from the top; ``panelled`` adds frames and knobs; ``slot``: else ``part``.
     """
     width, depth, height = size
     slot = slot or part
