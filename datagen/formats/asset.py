@@ -69,7 +69,7 @@ ScalarChannel = Unit | Texture
 
 
 MATERIAL_CHANNELS = (*MATERIAL_MAPS, "opacity", "normal")
-"""Fields of a material that a texture may fill."""
+"""Fields of a material that may be textures."""
 
 
 class Material(StrictModel):

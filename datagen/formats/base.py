@@ -91,7 +91,7 @@ IDENTITY4: Matrix4 = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0
 
 
 def check_unique(what: str, items: Sequence[Any]) -> None:
-    """Raise ``ValueError``, which names ``what``, unless the ``name`` of each item is unique."""
+    """Raise a ``ValueError`` that mentions ``what`` unless the ``name`` of every item is unique."""
     if len({item.name for item in items}) != len(items):
         raise ValueError(f"expected the names of {what} to be unique")
 
@@ -101,7 +101,7 @@ Location = tuple[int | str, ...]
 """Keys and indices from the root of a file to a field."""
 
 
-# Bounded, since the repr of a small file with nested YAML aliases could fill the memory.
+# Bounded, since nested YAML aliases can make the repr of a small file exhaust the memory.
 _SHORT = reprlib.Repr()
 _SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 3, 120, 120
 
@@ -141,7 +141,7 @@ def problems_of(where: str | Path | Callable[[Location], str], error: Validation
 
 
 def parse_model(model: type[ModelT], data: Any, where: str | Path) -> ModelT:
-    """Validate plain data as a ``model``. Raises :class:`InputError` with every problem in ``where``."""
+    """Validate plain data, read from ``where``, as a ``model``. Raises :class:`InputError` with all problems."""
     try:
         return model.model_validate(data)
     except ValidationError as error:
@@ -240,7 +240,7 @@ def sha256_file(path: Path) -> str:
 
 
 def write_bytes_atomically(path: Path, data: bytes, *, parents: bool = False) -> None:
-    """Write a file atomically, also in a power failure: write, flush and rename a temporary file.
+    """Write a file atomically, even across a power failure: write, flush and rename a temporary file.
 
     ``parents``: create missing folders first.
     """
@@ -259,7 +259,7 @@ def write_bytes_atomically(path: Path, data: bytes, *, parents: bool = False) ->
 
 def quantized(value: float, digits: int = 9) -> float:
     """Round ``value`` to ``digits`` significant digits, for readable and reproducible files."""
-    return float(f"{value:.{digits}g}") + 0.0  # 0.0 also for -0.0
+    return float(f"{value:.{digits}g}") + 0.0  # turns -0.0 into 0.0
 
 
 def matrix4(matrix: NDArray[np.float64]) -> Matrix4:

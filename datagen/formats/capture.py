@@ -30,8 +30,8 @@ CAPTURE_FILE = "capture.json"
 class Distortion(StrictModel):
     """Lens distortion in OpenCV's form, on normalised image coordinates.
 
-    ``brown``: k1 k2 p1 p2 k3 k4 k5 k6; ``polynomial``: k1 k2 p1 p2 k3 k4 without a denominator, where k4 is
-    the coefficient of r^8, as in RealityCapture and Metashape; ``fisheye``: k1 k2 k3 k4. Omitted ones are 0.
+    ``brown``: k1 k2 p1 p2 k3 k4 k5 k6; ``polynomial``: k1 k2 p1 p2 k3 k4 without a denominator, where k4
+    multiplies r^8, as in RealityCapture and Metashape; ``fisheye``: k1 k2 k3 k4. Missing coefficients are 0.
     """
 
     model: Literal["brown", "polynomial", "fisheye"]
@@ -92,8 +92,8 @@ class ColorImage:
     """An image of a view and its masks.
 
     ``color`` (H, W, 3) float32 linear; ``valid_mask`` (H, W): False where undistortion left no value;
-    ``clipped_mask`` (H, W, 3): True where ``color`` is only a lower bound, since the sensor saturates at the
-    radiance ``limit``; both are None if no limit is known.
+    ``limit``: radiance at which the sensor saturates; ``clipped_mask`` (H, W, 3): True where ``color`` is
+    therefore only a lower bound. ``limit`` and ``clipped_mask`` are None if the sensor's limit is unknown.
     """
 
     color: NDArray[np.float32]
@@ -126,7 +126,7 @@ class CaptureView:
 
 @dataclass(frozen=True)
 class GeometryPart:
-    """``num_faces`` triangles of a mesh from ``first_face``; ``emission``: radiance of a lamp, W/(m^2 sr)."""
+    """``num_faces`` triangles of a mesh from index ``first_face``; ``emission``: radiance in W/(m^2 sr)."""
 
     name: str
     first_face: int
@@ -136,7 +136,7 @@ class GeometryPart:
 
 @dataclass(frozen=True)
 class CaptureGeometry:
-    """A mesh in world space, with v of its UVs upwards, and its parts: consecutive ranges of its faces."""
+    """A mesh in world space, with UVs whose v points up; ``parts`` are consecutive ranges of its faces."""
 
     mesh: Mesh
     parts: tuple[GeometryPart, ...]
@@ -146,7 +146,7 @@ class CaptureGeometry:
             raise ValueError("expected the parts to contain every face once")
 
     def emitter_mask(self) -> NDArray[np.bool_]:
-        """Mask (M,) of the emissive triangles."""
+        """Return the mask (M,) of the emissive triangles."""
         mask = np.zeros(len(self.mesh.faces), dtype=bool)
         for part in self.parts:
             mask[part.first_face : part.first_face + part.num_faces] = part.emission is not None

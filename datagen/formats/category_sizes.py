@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Plausible sizes of objects by category, so wide that only wrong units violate them."""
+"""Plausible ranges of object sizes by category, so wide that only wrong units violate them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CATEGORY_SIZES_M: dict[str, tuple[float, float]] = {
 
 
 def size_fault(asset: ObjectAsset) -> str:
-    """Describe the implausible size of an object; "" if it is plausible or the category is unknown."""
+    """Return a description of an object's implausible size; "" if plausible or of unknown category."""
     limits = CATEGORY_SIZES_M.get(asset.category)
     if limits is None:
         return ""

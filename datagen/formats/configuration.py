@@ -34,10 +34,10 @@ Split = Literal["train", "validation", "test"]
 
 
 class ColorAdjustment(StrictModel):
-    """Variation of a material, clamped: D and S change in linear HSV, ``roughness_offset`` is added to R.
+    """Variation of a material: D and S change in linear HSV, ``roughness_offset`` is added to R.
 
     ``hue_shift`` is in turns (1 = 360 degrees); ``saturation_scale`` and ``value_scale`` are factors. S
-    changes only where it is coloured (metals); its HSV value is never scaled.
+    changes only where it is coloured (metals); its HSV value is never scaled. Results are clamped to [0, 1].
     """
 
     hue_shift: Annotated[float, Field(ge=-1, le=1)] = 0.0
@@ -49,8 +49,8 @@ class ColorAdjustment(StrictModel):
 class MaterialAssignment(StrictModel):
     """The material assigned to a slot of a placed asset.
 
-    ``asset`` is a material package, or None for the asset's own material. ``uv_scale`` multiplies the part's
-    UVs (tiles); None computes it from the part's ``uv_per_m`` and the material's ``tile_size_m``.
+    ``asset`` is the id of a material package, or None for the asset's own material. ``uv_scale`` multiplies
+    the part's UVs; None: computed from the part's ``uv_per_m`` and the material's ``tile_size_m``.
     """
 
     asset: Slug | None = None
@@ -149,9 +149,9 @@ class Configuration(StrictModel):
 
 
 def configuration_of(package: Package, seed: int = 0) -> Configuration:
-    """Configuration made of a single environment with its own materials, lights and cameras.
+    """Return a configuration of a single environment with its own materials, lights and cameras.
 
-    The cameras are named ``view_000``, ``view_001``... Raises :class:`InputError` if it has none.
+    Cameras are named ``view_000``, ``view_001``... Raises :class:`InputError` for other assets or no cameras.
     """
     asset = package.asset
     if not isinstance(asset, EnvironmentAsset) or not asset.cameras:

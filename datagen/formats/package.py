@@ -81,7 +81,7 @@ class Package:
         return self.asset.id
 
     def as_kind(self, kind: type[ModelT]) -> ModelT:
-        """Return the asset, which the caller knows to be of this ``kind``."""
+        """Return the asset, narrowed to the type ``kind``; the caller guarantees that it has this type."""
         assert isinstance(self.asset, kind)
         return self.asset
 
@@ -90,7 +90,7 @@ class Package:
         return tuple(sorted({name for _, name in referenced_files(self.asset)}))
 
     def local_file(self, name: str) -> Path:
-        """Path on disk of a file of the package; a zip's member is unpacked, and removed by :meth:`close`.
+        """Return the path on disk of a file; :meth:`close` removes the file if it is unpacked from a zip.
 
         Raises :class:`InputError` if the zip's member cannot be read.
         """
@@ -148,7 +148,7 @@ class Package:
 
 
 def referenced_files(asset: AnyAsset) -> list[tuple[str, str]]:
-    """List every file that an asset names as (field, file name), in a fixed order."""
+    """List the files to which an asset refers, as pairs (field, file name) in a fixed order."""
     if isinstance(asset, PanoramaAsset):
         return [("image", asset.image)]
     if isinstance(asset, MaterialAsset):
@@ -185,7 +185,7 @@ def open_package(path: str | Path, budget: Budget | None = None) -> Package:
 
 
 def is_package(path: Path) -> bool:
-    """Whether a path is a folder with ``asset.json`` or a zip that contains exactly one."""
+    """Return whether a path is a folder with ``asset.json`` or a zip that contains exactly one."""
     if path.is_dir():
         return (path / ASSET_FILE).is_file()
     if path.suffix.lower() != ZIP_SUFFIX or not path.is_file():
@@ -238,7 +238,7 @@ def _open_folder(folder: Path) -> Package:
 
 
 def _folder_fault(folder: Path, name: str) -> str:
-    """Reason to refuse a file of a package folder; '' if it is a regular file reached without links."""
+    """Return the reason to refuse a file of a package folder; '' if it is a regular file without links."""
     real, fault = fault_of(folder, name)
     if real is None:
         return fault
@@ -248,7 +248,7 @@ def _folder_fault(folder: Path, name: str) -> str:
 
 
 def _find_prefix(names: list[str]) -> str | None:
-    """Path prefix of asset.json among a zip's names ('' or 'folder/'); None unless exactly one exists."""
+    """Return the prefix of asset.json in a zip ('' or 'folder/'), or None unless exactly one exists."""
     hits = [n for n in names if n == ASSET_FILE or (n.endswith("/" + ASSET_FILE) and n.count("/") == 1)]
     return hits[0].removesuffix(ASSET_FILE) if len(hits) == 1 else None
 
@@ -284,7 +284,7 @@ FileSource = bytes | Path
 
 
 def package_in_memory(asset: AnyAsset, files: Mapping[str, bytes]) -> tuple[bytes, Package]:
-    """Zip an asset and its files in memory; returns the zip's bytes and the package opened from them.
+    """Zip an asset and its files in memory; return the zip's bytes and the package opened from them.
 
     Equal content produces equal bytes. Raises :class:`InputError` if a file that the asset names is missing.
     """
@@ -344,7 +344,7 @@ def write_package(
         _replace(partial, path)
     except BaseException as error:
         _remove(partial)
-        if isinstance(error, InputError):  # names the final path instead of the temporary one
+        if isinstance(error, InputError):  # the message must name the final path, not the temporary one
             final = [replace(p, where=str(p.where).replace(str(partial), str(path))) for p in error.problems]
             raise InputError(*final) from None
         if isinstance(error, OSError):
@@ -389,7 +389,7 @@ def _remove(path: Path) -> None:
 
 
 def _replace(partial: Path, path: Path) -> None:
-    """Move ``partial`` to ``path``; a folder there, which a rename cannot replace, is set aside first."""
+    """Rename ``partial`` to ``path``; an existing folder, which a rename cannot replace, is moved away."""
     if path.is_dir() and not path.is_symlink():
         old = path.with_name(f".{path.name}.{os.getpid()}.old")
         _remove(old)

@@ -21,7 +21,7 @@ def _ordered(value: tuple[float, float]) -> tuple[float, float]:
     return value
 
 
-_MAX_NAME = 147  # a folder in a tar file, name and index of a configuration, has at most 155 characters
+_MAX_NAME = 147  # tar files (USTAR) limit folder names, here "recipe name + index", to 155 characters
 _Side = Annotated[int, Field(ge=8, le=16384)]
 _Angle = Annotated[float, Field(gt=0.0, lt=180.0)]
 PositiveRange = Annotated[tuple[Positive, Positive], AfterValidator(_ordered)]
@@ -37,7 +37,7 @@ def _check_name(value: str) -> str:
 
 
 class AssetFilter(StrictModel):
-    """Selection of assets by id: those in ``include`` (None = all of the library) but not in ``exclude``."""
+    """Selection of assets by id: those in ``include`` (None: the whole library) but not in ``exclude``."""
 
     include: tuple[Slug, ...] | None = None
     exclude: tuple[Slug, ...] = ()
@@ -74,8 +74,8 @@ class EnvironmentRecipe(AssetFilter):
 class ObjectRecipe(AssetFilter):
     """Objects to place, ``count`` per configuration. ``category_weights`` default to 1 for each category.
 
-    ``library_weights``: relative probability (default 1) that an object is drawn from a folder, by the
-    folder's entry in ``library``, so that a few custom objects are drawn often despite a large library. If
+    ``library_weights`` maps library folders, as written in ``library``, to relative probabilities (default 1)
+    of drawing an object from them, so that a few custom objects can be frequent beside a large library. If
     empty, all folders form one pool. ``min_gap_m``: minimum distance between objects; ``max_attempts``:
     maximum number of candidate placements per object.
     """
@@ -88,10 +88,10 @@ class ObjectRecipe(AssetFilter):
 
 
 class Variation(StrictModel):
-    """Weights of two modes of assigning materials, one of which is drawn for each configuration.
+    """Weights of two modes of assigning materials; one mode is drawn for each configuration.
 
     ``likely``: combinations of materials and colours that are common in real rooms.
-    ``wild``: any material of a class that suits the slot, in any colour that the class may have.
+    ``wild``: any material of a class that suits the slot, in any colour that occurs in the class.
     """
 
     likely: NonNegative = 0.0
@@ -105,12 +105,12 @@ class Variation(StrictModel):
 
 
 class MaterialRecipe(AssetFilter):
-    """Materials of slots: the probabilities that an asset's material is replaced or varied.
+    """Materials of slots: the probabilities that the material of a slot is replaced or varied.
 
-    ``variation``: weights of the modes; only wild by default, for compatibility. ``any_class_probability``
-    and ``class_weights`` apply to wild configurations. With probability ``any_class_probability`` a
-    replacement ignores the classes that suit a slot: a floor of steel, a sofa of marble. ``class_weights``
-    default to 1 for each class; 0 excludes a class.
+    ``variation``: weights of the modes; only ``wild`` by default, for compatibility. In this mode, a
+    replacement ignores the classes that suit a slot with probability ``any_class_probability`` (a floor of
+    steel, a sofa of marble), and ``class_weights`` are relative probabilities of classes (default 1 each; 0
+    excludes a class).
     """
 
     variation: Variation = Variation(wild=1.0)
@@ -144,12 +144,12 @@ class PanoramaWeights(StrictModel):
 
 
 class LightRecipe(StrictModel):
-    """Lights of configurations. Probabilities are per kind; at least one light is always on.
+    """Lights of configurations. Each kind is drawn with its own probability; at least one light is on.
 
-    Of a drawn kind at least one light is placed, if possible: a drawn ``count_area`` or ``count_point`` of 0
-    counts as 1.
+    If a kind is drawn, at least one light of it is placed, if possible: a drawn ``count_area`` or
+    ``count_point`` of 0 counts as 1. ``native``: lights of the assets themselves.
 
-    With ``panoramas`` every room with openings and without a sky has a panorama outside, regardless
+    With ``panoramas``, every room with openings and without a sky has a panorama outside, regardless
     of ``daylight_probability``; generated rooms then have no modelled surroundings.
     ``color_temperature_k`` and ``mean_irradiance`` (W/m^2, at possible camera positions) are drawn
     log-uniformly, as are the shares of the irradiance that the groups of lights contribute.
@@ -260,8 +260,8 @@ class RenderRecipe(StrictModel):
       the recipe is read, so saved recipes keep their meaning in later versions.
 
     ``firefly_clamp``: maximum radiance of a light path of two or more bounces, in multiples of the exposed
-    white; None = no clamp; direct light is never clamped. ``irradiance_cache``: paths may end after their
-    first broad reflection in irradiance computed beforehand for all views; faster, with a small bias
+    white; None = no clamp; direct light is never clamped. ``irradiance_cache``: after a diffuse or rough
+    reflection, a path may end with irradiance from a cache that all views share; faster, with a small bias
     (docs/decisions/0075). ``auxiliary_samples``: samples per pixel of the ground truth. ``max_depth``:
     maximum number of segments of a path (the default, 8). If ``max_energy_left`` is given instead, the number
     follows from the scene's albedo so that at most that share of the light is truncated; cached irradiance
@@ -306,7 +306,7 @@ class RenderRecipe(StrictModel):
 
 
 class StatisticsRecipe(StrictModel):
-    """Multi-view statistics (fields: :class:`datagen.multiview.statistics.StatisticsOptions`).
+    """Options of multi-view statistics, as in :class:`datagen.multiview.statistics.StatisticsOptions`.
 
     ``light``: also store :data:`~datagen.foundation.buffers.LIGHT_BUFFERS`, as inputs of networks.
     """
@@ -340,7 +340,7 @@ class OutputRecipe(StrictModel):
 
 
 class Recipe(StrictModel):
-    """A dataset to make. ``views`` is per configuration, ``resolution`` (width, height) in pixels.
+    """Description of a dataset. ``views`` is per configuration; ``resolution`` is (width, height) in pixels.
 
     ``library``: folders, relative to the recipe; "bundled" is the library that comes with the project.
     """

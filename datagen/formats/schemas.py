@@ -32,7 +32,7 @@ _ADAPTERS: dict[str, TypeAdapter[Any]] = {
 
 
 def json_schemas() -> dict[str, dict[str, Any]]:
-    """JSON Schema (2020-12) of each format, by name."""
+    """Return the JSON Schema (2020-12) of each format, by name."""
     return {name: {**DIALECT, **adapter.json_schema()} for name, adapter in _ADAPTERS.items()}
 
 

@@ -96,7 +96,7 @@ def write_shard(stream: BinaryIO, configuration: bytes, members: Iterable[tuple[
 
 @dataclass(frozen=True)
 class View:
-    """A view: its record, and its buffers as stored, (H, W, C) arrays by name."""
+    """A view: its record, and its buffers by name, (H, W, C) arrays of the stored types."""
 
     record: ViewRecord
     buffers: dict[str, NDArray[Any]]
@@ -208,7 +208,7 @@ class ViewPlace:
 
 
 def index_shard(path: Path) -> list[ViewPlace]:
-    """Index a shard's views from the tar's headers alone. Raises :class:`InputError` for a damaged tar."""
+    """Locate a shard's views by the tar's headers alone. Raises :class:`InputError` for a damaged shard."""
     members: dict[str, dict[str, tuple[int, int]]] = {}
     try:
         with tarfile.open(path, mode="r:") as tar:
@@ -248,7 +248,7 @@ def read_buffers(place: ViewPlace, names: Iterable[str]) -> dict[str, NDArray[An
 
 
 def read_member(place: ViewPlace, part: tuple[int, int]) -> bytes:
-    """Bytes of a view's member at ``part`` (offset, size). Raises :class:`InputError` if the tar is short."""
+    """Read a view's member at ``part`` (offset, size). Raises :class:`InputError` if the tar is truncated."""
     with place.shard.open("rb") as file:
         file.seek(part[0])
         data = file.read(part[1])

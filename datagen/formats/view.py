@@ -16,7 +16,7 @@ from datagen.formats.configuration import Split, ViewCamera
 
 
 def _names_from_file(value: Any) -> Any:
-    """Convert a file's list of ids and names to a dictionary; files of version 1 contain the dictionary."""
+    """Convert a file's list of ids and names to a dictionary; dictionaries (version 1) stay unchanged."""
     if not isinstance(value, list | tuple):
         return value
     names: dict[str, str] = {}
@@ -47,10 +47,10 @@ NamesOfIds = Annotated[
 ]
 """Names by id; in files a list of ``{"id": 1, "name": "..."}``.
 
-Column libraries (Arrow, in Hugging Face's `datasets`) would turn ids as keys into columns."""
+Columnar libraries (Arrow, in Hugging Face's `datasets`) would turn the keys of a dictionary into columns."""
 _T = TypeVar("_T")
 _IfAny = Annotated[_T | None, Field(exclude_if=lambda value: value is None)]
-"""Optional value, not written if None, since column libraries cannot infer a type from leading nulls."""
+"""Optional value, not written if None, since columnar libraries cannot infer a type from leading nulls."""
 
 
 class RenderRecord(StrictModel):
@@ -60,10 +60,10 @@ class RenderRecord(StrictModel):
     is the largest number for any pixel, ``estimated_rel_mse`` the relMSE of the beauty image, estimated from
     two independent halves of the samples, plus its standard error, and ``at_ceiling`` is true if the sample
     limit was reached before the target. ``firefly_clamp_radiance`` is the maximum radiance of a path of two
-    or more bounces, ``clamped_energy`` the share of the luminance removed by it, of which the part that is
-    certain enough is spread over its surroundings. ``max_energy_left`` bounds the share of the light on paths
-    longer than ``max_depth``. ``irradiance_cell_m``: side of the cells of cached irradiance in which paths
-    ended; None if all light was traced.
+    or more bounces, ``clamped_energy`` the share of the luminance that this clamp removed; part of it is
+    restored, spread over surrounding pixels (:mod:`datagen.rendering.clamped_light`). ``max_energy_left``
+    bounds the share of the light on paths longer than ``max_depth``. ``irradiance_cell_m``: side of the
+    irradiance cache's cells; None if it was not used.
     """
 
     variant: str

@@ -20,9 +20,9 @@ class YamlPlaces:
         self._root: Node | None = yaml.compose(text, Loader=yaml.SafeLoader)
 
     def __call__(self, location: tuple[int | str, ...]) -> str:
-        """``FILE:LINE:COLUMN`` of a field, or of its parent if it is missing.
+        """Return ``FILE:LINE:COLUMN`` of a field, or of its parent if the field is missing.
 
-        Parts that are not keys are skipped, since pydantic adds the chosen type of a union to locations.
+        Parts of a location that are not keys are skipped, since pydantic inserts the type chosen in a union.
         """
         mark, node = (self._root.start_mark if self._root is not None else None), self._root
         for part in location:
@@ -33,7 +33,7 @@ class YamlPlaces:
 
 
 def syntax_error(path: Path, error: yaml.YAMLError) -> tuple[str, str]:
-    """Position and description of a YAML syntax error."""
+    """Return the position and description of a YAML syntax error."""
     mark = getattr(error, "problem_mark", None)
     problem = getattr(error, "problem", None)
     if mark is None or problem is None:
@@ -43,7 +43,7 @@ def syntax_error(path: Path, error: yaml.YAMLError) -> tuple[str, str]:
 
 
 def _entry(node: Node | None, part: int | str) -> tuple[yaml.Mark, Node] | None:
-    """Start and value of a node's entry ``part`` (key or index), or None."""
+    """Return the start and value of a node's entry ``part`` (key or index), or None if there is none."""
     if isinstance(node, SequenceNode):
         if isinstance(part, int) and 0 <= part < len(node.value):
             return node.value[part].start_mark, node.value[part]
@@ -61,7 +61,7 @@ def _entry(node: Node | None, part: int | str) -> tuple[yaml.Mark, Node] | None:
 
 
 def _merged(node: MappingNode) -> Iterator[Node]:
-    """Mappings that ``<<`` merges into ``node``."""
+    """Yield the mappings that ``<<`` merges into ``node``."""
     for key, value in node.value:
         if key.value == _MERGE:
             yield from value.value if isinstance(value, SequenceNode) else (value,)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Parser of Mitsuba XML scenes (versions 0.5 to 3.x) into plain nodes: variables, includes, aliases and
-references are resolved, camelCase names of old files converted to snake_case, and transforms to matrices.
+references are resolved, camelCase names of old files become snake_case, and transforms become matrices.
 
-Plugins are interpreted by the modules that use the nodes. DOCTYPE, entities, circular includes and includes
-outside the scene's folder are refused. References turn the tree into a graph, whose expanded size is checked
-before it is expanded.
+The modules that use the nodes interpret the plugins. DOCTYPE, entities, circular includes and includes
+outside the scene's folder are refused. Since references turn the tree into a graph, the size of its
+expansion is checked in advance.
 """
 
 from __future__ import annotations
@@ -50,18 +50,18 @@ class SceneNode:
     where: str = ""
 
     def child(self, *names: str) -> SceneNode | None:
-        """The first nested plugin with one of ``names``, or None."""
+        """Return the first nested plugin with one of ``names``, or None."""
         return next((node for name, node in self.children if name in names), None)
 
     def children_of(self, tag: str) -> list[SceneNode]:
-        """Nested plugins with the XML tag ``tag``, in the order of the file."""
+        """Return the nested plugins with the XML tag ``tag``, in the order of the file."""
         return [node for _, node in self.children if node.tag == tag]
 
     def get(self, name: str, default: Any = None) -> Any:
         return self.values.get(name, default)
 
     def to_world(self) -> NDArray[np.float64]:
-        """The node's transform ``to_world``, (4, 4); identity if not stated."""
+        """Return the node's transform ``to_world``, (4, 4); the identity if absent."""
         return np.asarray(self.get("to_world", np.eye(4)), dtype=np.float64)
 
 
@@ -271,7 +271,7 @@ class _Parser:
         return re.sub(r"\$([A-Za-z_][A-Za-z0-9_]*)", value, text) if "$" in text else text
 
     def numbers(self, node: SceneNode, name: str, text: str, counts: tuple[int, ...]) -> list[float]:
-        parts = re.split(r"[\s,]+", text.strip(), maxsplit=max(counts))  # values may have any length
+        parts = re.split(r"[\s,]+", text.strip(), maxsplit=max(counts))  # bounded: texts may have any length
         try:
             numbers = [float(part) for part in parts if part]
         except ValueError:
@@ -354,7 +354,7 @@ class _Parser:
                 self.problem(f"{node.where}: <{child.tag}>", "in a transform", expected)
             matrix = step @ matrix
         if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < 1e-20:
-            # not an error yet: rectangles may be scaled to zero; the shape importers report it
+            # not an error here: importers report the singular transforms of the shapes that they use
             node.values.setdefault("_singular_transform", True)
         return matrix
 

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Conversion of Mitsuba sensors to cameras.
-
-``asset_from_source`` is the rotation to Z up times the unit scale.
-"""
+"""Conversion of Mitsuba sensors to cameras."""
 
 from __future__ import annotations
 
@@ -23,7 +20,7 @@ MITSUBA_FROM_CAMERA = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def guess_up(scene: MitsubaScene) -> Literal["y", "z"]:
-    """Up axis of a scene: y or z, whichever is closer to the first sensor's up vector; y without a sensor."""
+    """Return the scene's up axis: y or z, whichever the first sensor's up vector is closer to; y if none."""
     for sensor in scene.all_of("sensor"):
         up = sensor.to_world()[:3, 1]
         return "z" if abs(up[2]) > abs(up[1]) else "y"
@@ -33,7 +30,10 @@ def guess_up(scene: MitsubaScene) -> Literal["y", "z"]:
 def camera_of(
     node: SceneNode, number: int, asset_from_source: NDArray[np.float64], findings: Findings
 ) -> AssetCamera:
-    """Pinhole camera of a sensor; ``findings`` collects the omission of aperture, crop and mirroring."""
+    """Convert a sensor to a pinhole camera; ``findings`` lists omitted apertures, film crops and mirroring.
+
+    ``asset_from_source`` (4, 4) is the rotation to Z up times the unit scale.
+    """
     film = next(iter(node.children_of("film")), SceneNode("film", "hdrfilm"))
     width, height = int(film.get("width", 768)), int(film.get("height", 576))
     name = node.id or f"camera_{number}"
