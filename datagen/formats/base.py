@@ -141,7 +141,7 @@ def problems_of(where: str | Path | Callable[[Location], str], error: Validation
 
 
 def parse_model(model: type[ModelT], data: Any, where: str | Path) -> ModelT:
-    """Validate plain data, read from ``where``, as a ``model``. Raises :class:`InputError` with all problems."""
+    """Validate plain data from ``where`` as a ``model``. Raises :class:`InputError` with all problems."""
     try:
         return model.model_validate(data)
     except ValidationError as error:

@@ -25,7 +25,7 @@ LimitName = Literal[
     "nodes", "depth", "references", "instances", "triangles", "pairs", "pixels", "bytes", "values",
     "frames",
 ]  # fmt: skip
-_MAX_DEPTH = 2000  # each level needs up to four frames of the interpreter's limited stack
+_MAX_DEPTH = 2000  # each level takes up to four stack frames of the interpreter, whose stack is limited
 _CALLS_PER_LEVEL = 4
 _USUAL_CALLS = 1000
 _PER_BYTE: dict[LimitName, float] = {"triangles": 1 / 8, "pairs": 20.0, "pixels": 8.0, "bytes": 20.0}
@@ -89,7 +89,7 @@ class Limits:
 class Budget:
     """Amounts used by the import of the file ``where``, and their limits.
 
-    Readers report the size of input by :meth:`hold`, and charge output by :meth:`spend` before allocation.
+    Readers add the size of their input by :meth:`hold`, and charge output by :meth:`spend` before allocation.
     """
 
     def __init__(self, where: str | Path, limits: Limits | None = None):
@@ -103,7 +103,7 @@ class Budget:
             sys.setrecursionlimit(max(sys.getrecursionlimit(), calls))
 
     def hold(self, num_bytes: int) -> None:
-        """Add bytes of input, which raises the limits that depend on the size of the input."""
+        """Add ``num_bytes`` of input, which raises the limits that depend on the input's size."""
         self._held += num_bytes
 
     def hold_file(self, path: Path) -> None:
@@ -140,7 +140,7 @@ class Budget:
     def exceeded(self, what: LimitName, amount: int, at: str = "") -> InputError:
         """Return the error for exceeding a limit; ``amount`` is a lower bound of the actual amount."""
         base, limit = getattr(self.limits, what), self.allowed(what)
-        # with a margin of half the counted amount, since counting stopped at the limit
+        # half as much again, since counting stopped at the limit and the file may need more
         needed = amount + amount // 2 - (limit - base)
         share = f" ({base} plus an allowance for the size of the files)" if limit > base else ""
         remedy = f"if you trust the file, raise the limit: {LIMITS_VARIABLE}={what}={needed}"

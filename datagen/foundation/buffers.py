@@ -39,8 +39,8 @@ class Buffer:
     """Definition of a buffer; ``minimum`` and ``maximum`` bound its valid values, inclusively.
 
     ``channels``: suffixes of its EXR channels. Pixels without the quantity (background, emitters) contain 0.
-    ``stage``: its origin, which is path tracing, the ground truth of the first hit, or statistics over views.
-    ``is_optional``: views may lack it.
+    ``stage``: origin of the values: path tracing, ground truth at the first hit, or statistics over views.
+    ``is_optional``: the buffer may be missing from a view.
     """
 
     name: str
@@ -156,13 +156,13 @@ VIEW_BUFFERS = RENDERED_BUFFERS + STATISTICS_BUFFERS
 LIGHT_BUFFERS = _names("statistics", is_optional=True)
 """Buffers of the light recorded by a configuration's views, enabled by the recipe's ``statistics.light``."""
 MIRROR_ROUGHNESS = {"mirror_sharp": 0.2, "mirror_broad": 0.5}
-"""Roughness R, by buffer, of the hypothetical surface whose reflected radiance the buffer stores."""
+"""Roughness R, by buffer, of the hypothetical surface (S = 1) whose reflected radiance it contains."""
 MIN_COVERAGE = 0.5
 """Minimum ``surface_mask`` of a surface pixel; below it, other content dominates the colour."""
 
 
 def get_buffer(name: str) -> Buffer:
-    """Return the buffer ``name``. Raises ``KeyError``, which lists the known names, if there is none."""
+    """Return the buffer ``name``. Raises a ``KeyError`` that lists the known names if there is none."""
     try:
         return BUFFERS[name]
     except KeyError:
@@ -179,7 +179,7 @@ def split_channels(values: NDArray[Any], names: Sequence[str]) -> dict[str, NDAr
 def surface_pixels(view: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
     """Return the mask (H, W) of a view's surface pixels, from its buffers (H, W, C) by name.
 
-    Their ``depth_z_m`` is positive and their ``surface_mask`` at least ``MIN_COVERAGE``, if present.
+    Surface pixels have ``depth_z_m`` > 0 and ``surface_mask`` >= :data:`MIN_COVERAGE`, if these are present.
     """
     shape = next(iter(view.values())).shape[:2]
     mask = np.ones(shape, dtype=bool)

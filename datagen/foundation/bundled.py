@@ -49,8 +49,8 @@ def bundled_names(kind: BundledKind) -> list[str]:
 def resolve_bundled(path: Path, kind: BundledKind) -> Path:
     """Return the path of the bundled recipe or suite named ``path`` or, if none has this name, ``path``.
 
-    A file ``path`` takes precedence, a folder does not, such as the dataset of ``datagen run smoke --out
-    smoke``. Raises :class:`InputError`, which lists the bundled names, if ``path`` neither is one nor exists.
+    An existing file takes precedence over a bundled name; a folder does not, since ``datagen run smoke --out
+    smoke`` creates one. Raises :class:`InputError` if ``path`` is neither a bundled name nor exists.
     """
     if path.is_file():
         return path

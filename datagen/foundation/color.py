@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 LUMINANCE_WEIGHTS = np.array([0.212671, 0.715160, 0.072169])
 """Rec.709 luminance weights of linear RGB, as used by Mitsuba."""
 
-_LOG_EPSILON = 0.01  # keeps the logarithm finite at 0; part of the network's input encoding
+_LOG_EPSILON = 0.01  # keeps the logarithm finite at 0; trained networks depend on this value
 
 
 def srgb_from_linear(linear: NDArray[Any]) -> NDArray[Any]:
-    """Encode linear values as sRGB; negative input is clamped to 0, values above 1 stay above 1."""
+    """Encode linear values as sRGB; negative values are clamped to 0, values above 1 are not clamped."""
     linear = np.maximum(linear, 0.0)
     return np.where(
         linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(np.maximum(linear, 1e-12), 1 / 2.4) - 0.055
@@ -52,7 +52,7 @@ def linear_from_log(encoded: NDArray[Any]) -> NDArray[Any]:
 def exposure_for(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | None = None) -> float:
     """Return the factor that maps the 95th percentile of an image's luminance to 0.9.
 
-    ``linear_rgb`` (..., 3); ``valid_mask`` (...): False for ignored pixels. The factor is 1 without light.
+    ``linear_rgb`` (..., 3); ``valid_mask`` (...): False for ignored pixels. The factor of a black image is 1.
     """
     values = luminance(np.asarray(linear_rgb, dtype=np.float64))
     if valid_mask is not None:
@@ -65,7 +65,7 @@ def exposure_for(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | None = Non
 
 
 def cividis() -> list[list[int]]:
-    """Return the colour map of scalar images: 256 sRGB colours [red, green, blue], 0 to 255."""
+    """Return the colour map for scalar images as 256 sRGB colours [red, green, blue], 0 to 255."""
     from matplotlib import colormaps
 
     colors = colormaps["cividis"](np.linspace(0, 1, 256))[:, :3]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Common parts of the commands: options declared as dataclasses, removed subcommands, and exit codes.
 
-An option is declared once, as an annotated field of a dataclass: its type, default and help. A subcommand has
+An option's type, default and help are declared once, by an annotated field of a dataclass. A subcommand takes
 the dataclass as a parameter, and :func:`with_options` turns its fields into command-line options.
 """
 
@@ -55,7 +55,7 @@ LibraryPaths = Annotated[list[Path], typer.Argument(metavar="LIBRARY...", help="
 
 
 def finite(value: float | None) -> float | None:
-    """Callback of an option that refuses NaN and infinity, which satisfy a minimum."""
+    """Callback of an option that refuses NaN and infinity, which pass typer's check of a minimum."""
     if value is not None and not math.isfinite(value):
         raise typer.BadParameter(f"{value} is not finite")
     return value
@@ -65,7 +65,7 @@ QuietOption = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
 
 
 def run_command(app: Callable[[], object]) -> None:
-    """Run a command; for errors that the user can correct, print a message instead of a traceback.
+    """Run a command; print a message instead of a traceback for errors that the user can correct.
 
     Exit codes: 2 for bad input, including inaccessible files; 1 for a full disk and, silently, a broken pipe.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Parsers of untrusted JSON and XML, which limit numbers of values and nesting, and checks of zip files."""
+"""Parsers of untrusted JSON and XML that limit the number of values and the nesting, and checks of zips."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _REMEDY = "do not use this file"
 
 def parse_json(text: str, where: str | Path, budget: Budget, remedy: str = "export it again") -> Any:
     """Parse JSON. Raises :class:`InputError` for invalid JSON, too many values or too many levels."""
-    # an upper bound: every value but the first follows one of these characters, which strings also contain
+    # an upper bound: a comma or bracket precedes every value but the first; strings may contain more of them
     count = 1 + text.count(",") + text.count("[") + text.count("{")
     budget.spend("values", count, "document")
     try:
@@ -42,7 +42,7 @@ def _depth(text: str) -> int:
 
 
 class _Counter(ElementTree.TreeBuilder):
-    """Tree builder that charges elements to a budget and checks their depth."""
+    """Tree builder that charges each element to a budget and checks its depth while parsing."""
 
     def __init__(self, budget: Budget):
         super().__init__()
@@ -82,8 +82,8 @@ def parse_xml(
 def check_archive(archive: zipfile.ZipFile, path: Path, budget: Budget) -> None:
     """Raise :class:`InputError` if the open zip file ``path`` is unsafe to unpack.
 
-    It must not contain duplicate names, names that lead out of the archive, links, devices, encryption,
-    compression other than deflate, or more members or bytes than the ``budget`` allows.
+    An archive is unsafe if it contains duplicate names, paths that lead out of it, links, devices, encrypted
+    members, compression other than deflate, or more members or bytes than the ``budget`` allows.
     """
     budget.hold_file(path)
     members = archive.infolist()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Writing of files that are complete or absent even after a power failure.
 
-Content is synced before its name, and its name before those of later files: after a crash of the machine, a
-file system may otherwise have the new name without the content, or a later file without an earlier one.
+A file's content is synced before its directory entry, and the entry before any later file is written:
+otherwise, a crash of the machine may leave a name without content, or a later file without an earlier one.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _IS_WINDOWS = os.name == "nt"  # Windows flushes only files open for writing, an
 
 
 def sync_file(path: Path) -> None:
-    """Wait until a file's content is on disk, whichever process wrote it."""
+    """Wait until a file's content is on disk, even if another process wrote it."""
     descriptor = os.open(path, os.O_RDWR if _IS_WINDOWS else os.O_RDONLY)
     try:
         os.fsync(descriptor)

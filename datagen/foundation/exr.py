@@ -21,7 +21,7 @@ from datagen.foundation.errors import Problems, input_error, raise_problems
 
 MAX_SIDE_PX = 16384  # larger headers are refused before any pixel is allocated
 _MAX_COMPRESSION = 500  # plausible decoded bytes per stored byte, with halves counted as floats
-_CLAIM_FREE_BYTES = 256 << 20  # decoded size that is plausible for any file
+_CLAIM_FREE_BYTES = 256 << 20  # decoded size accepted for a file of any size
 COMPRESSIONS = {
     "none": OpenEXR.NO_COMPRESSION,
     "rle": OpenEXR.RLE_COMPRESSION,
@@ -68,7 +68,7 @@ def encode_view(buffers: Mapping[str, NDArray[Any]], compression: str = "zip", n
 def encode_channels(
     channels: Mapping[str, NDArray[Any]], compression: str = "zip", num_threads: int = 0
 ) -> bytes:
-    """Encode channels (H, W) or colours ``RGB`` (H, W, 3), by name, as the bytes of one EXR file."""
+    """Encode channels by name, (H, W) or (H, W, 3) for the name ``RGB``, as the bytes of one EXR file."""
     header = {"compression": COMPRESSIONS[compression], "type": OpenEXR.scanlineimage}
     stream = io.BytesIO()
     planes = {name: np.ascontiguousarray(pixels) for name, pixels in channels.items()}
@@ -78,9 +78,10 @@ def encode_channels(
 
 
 def check_claim(size_px: tuple[int, int], pixel_bytes: int, num_bytes: int, where: Path | str) -> None:
-    """Check, before memory is allocated, that a file of ``num_bytes`` can contain an image of ``size_px``.
+    """Raise :class:`InputError` unless a file of ``num_bytes`` can contain an image of ``size_px``.
 
-    ``pixel_bytes``: decoded bytes per pixel. Raises :class:`InputError` for an implausible size.
+    ``size_px``: (width, height) in the header, checked before allocation; ``pixel_bytes``: decoded bytes
+    per pixel.
     """
     width, height = size_px
     if width * height * pixel_bytes > _CLAIM_FREE_BYTES + _MAX_COMPRESSION * num_bytes:
@@ -118,10 +119,10 @@ def decode_view(
     num_threads: int = 0,
     where: Path | str = "EXR data",
 ) -> dict[str, NDArray[Any]]:
-    """Decode buffers (H, W, C) of an EXR file by name, as stored (half: float16); ``names`` None: all.
+    """Decode the buffers ``names`` (None: all) of an EXR file: arrays (H, W, C) of the stored types, by name.
 
-    ``where`` names a ``source`` of bytes in errors. Raises :class:`InputError` if the file is damaged, too
-    large, or lacks a requested buffer, ``KeyError`` for an unknown name.
+    ``where`` identifies a ``source`` of bytes in messages. Raises :class:`InputError` if the file is damaged,
+    too large or lacks a requested buffer, and ``KeyError`` for an unknown name.
     """
     where = source if isinstance(source, Path) else where
     try:

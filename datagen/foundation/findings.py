@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Remarks about the files of other programs, collected while they are read."""
+"""Remarks on files of other programs, collected by their importers."""
 
 from __future__ import annotations
 

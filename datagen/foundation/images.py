@@ -40,10 +40,10 @@ def read_image(path: Path) -> NDArray[Any]:
 
 
 def read_radiance(path: Path) -> NDArray[np.float32]:
-    """Read an EXR image of radiance (H, W, 3); a grey one is repeated.
+    """Read an EXR image of radiance (H, W, 3); a grey image is repeated in all three channels.
 
-    Raises :class:`InputError` as :func:`read_image` does, for other formats, and for NaN, Inf and negative
-    values.
+    Raises :class:`InputError` in the cases of :func:`read_image`, for formats other than EXR, and for NaN,
+    Inf and negative values.
     """
     if path.suffix.lower() != ".exr":
         raise input_error(path, got="not an EXR file", expected="a linear EXR image", remedy="convert it")
@@ -54,7 +54,7 @@ def read_radiance(path: Path) -> NDArray[np.float32]:
 
 
 def image_size(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")) -> tuple[int, int]:
-    """Return (width, height) in the header of an EXR file or of one in Pillow's ``formats``.
+    """Read (width, height) from the header of an EXR file or of an image in one of Pillow's ``formats``.
 
     Raises :class:`InputError` for a missing or unreadable file.
     """
@@ -109,7 +109,7 @@ def shown_bytes(linear_rgb: NDArray[Any], exposure: float) -> NDArray[np.uint8]:
 
 
 def encode_png(pixels: NDArray[Any]) -> bytes:
-    """Encode uint8 or uint16 pixels, (H, W) or (H, W, C) with C of 1, 3 or 4, as PNG; deterministic."""
+    """Encode uint8 or uint16 pixels, (H, W) or (H, W, C) with C of 1, 3 or 4, as PNG, deterministically."""
     import cv2
 
     orders = {1: [0], 3: [2, 1, 0], 4: [2, 1, 0, 3]}
@@ -130,7 +130,7 @@ def encode_jpeg(pixels: NDArray[np.uint8], quality: int) -> bytes:
 
 
 def data_url(image: bytes, kind: str = "png") -> str:
-    """URL that contains an image file of type ``kind``, ``png`` or ``jpeg``."""
+    """Return a data URL of the image file ``image``, whose type ``kind`` is ``png`` or ``jpeg``."""
     return f"data:image/{kind};base64,{base64.b64encode(image).decode()}"
 
 

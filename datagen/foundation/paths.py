@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Checks that file names in untrusted files refer to permitted files, and checks of output folders.
 
-A name is relative to the folder of its file and must stay inside, even when links are followed. Absolute
-names and names with ``..`` need folders that the user allows explicitly.
+A name is relative to the folder of the file that contains it and must stay inside, even when links are
+followed. Absolute names and ``..`` may only lead into folders that the user allows explicitly.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def named_file(
 
 
 def inside(root: Path, path: Path) -> Path:
-    """Return ``path`` if it is a regular or missing file inside ``root``, also after following links.
+    """Return ``path`` if, with links followed, it is a regular or missing file inside ``root``.
 
     Raises :class:`InputError` for any other path.
     """
@@ -90,9 +90,9 @@ def inside(root: Path, path: Path) -> Path:
 
 
 def output_problems(out: Path, is_earlier: bool, earlier: str) -> list[Problem]:
-    """Problems of an output folder ``out``: a file, or a folder with files unless it ``is_earlier`` output.
+    """List the problems of the output folder ``out``, which must be missing, empty or an earlier output.
 
-    ``earlier`` describes such a folder.
+    ``is_earlier``: whether it is an earlier output; ``earlier`` describes such a folder in messages.
     """
     if out.exists() and not out.is_dir():
         return [Problem(out, "--out", "a file", "a folder", "choose another --out")]

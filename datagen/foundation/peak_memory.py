@@ -40,5 +40,5 @@ def processor_s() -> float:
 
 
 def num_threads() -> int:
-    """Return the number of processors that this process may use, which a queue may limit."""
+    """Return the number of processors that this process may use; batch systems may restrict it."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Progress of commands, on standard error, durations as text, and the console for tables."""
+"""Progress of commands on standard error, durations as text, and the console for tables."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ Advance = Callable[[int, int], None]
 """Function of (finished steps, total steps) of one stage."""
 
 SILENCE_S = 30.0
-_UNBOUNDED = 100_000  # characters; tables and lines use only the width that they need
+_UNBOUNDED = 100_000  # width in characters; tables and lines use only as much as they need
 
 
 def no_advance(done: int, total: int) -> None:
-    """An :data:`Advance` that shows nothing."""
+    """Show nothing; an :data:`Advance` for callers without a progress display."""
 
 
 def duration(seconds: float) -> str:
-    """Text of a duration, such as "90 s", "45 min" or "2.5 h"."""
+    """Return a duration as text, such as "90 s", "45 min" or "2.5 h"."""
     if seconds < 120:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 def table_console() -> Console:
-    """Return a console on standard output, as wide as the terminal or, elsewhere, as its tables need.
+    """Return a console on standard output that prints square brackets as text, not as styles.
 
-    It prints square brackets as text, not as styles. Lines to a pipe or a file are neither cut nor wrapped.
+    It is as wide as the terminal; lines to a pipe or a file are neither cut nor wrapped.
     """
     from rich.console import Console
 
@@ -43,11 +43,11 @@ def table_console() -> Console:
 
 
 class Bars:
-    """Context that shows the progress of stages: on a terminal, bars with rate and time left.
+    """Context manager that shows the progress of stages: on a terminal, bars with rate and time left.
 
-    Elsewhere, as in the log of a job, it prints a line at the start of each stage after the first, every 30
-    seconds, and at the end. ``unit`` names the counted items; with ``is_transient`` a stage's bar disappears
-    when the next begins. With ``is_quiet`` nothing is shown.
+    Without a terminal, as in the log of a job, it prints a line every 30 seconds, at each change of stage and
+    at the end. ``unit`` names the counted items. With ``is_transient``, the bar of a stage disappears when
+    the next one begins; with ``is_quiet``, nothing is shown.
     """
 
     def __init__(self, unit: str = "", *, is_transient: bool = False, is_quiet: bool = False):

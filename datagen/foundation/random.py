@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Random numbers that depend only on their key, not on order, workers, hash seeds or NumPy's version.
+"""Random numbers that depend only on a key, not on order, workers, hash seeds or NumPy's version.
 
-Every draw of a configuration comes from a :class:`Draws` keyed by (recipe seed, configuration, purpose,
-index). Only NumPy's raw Philox stream is used, whose bits NumPy guarantees forever; ``Generator``'s
-distributions may change between its releases, so the few distributions needed are implemented here.
+Every random choice in a configuration is drawn from a :class:`Draws` keyed by (recipe seed, configuration,
+purpose, index). It uses only the raw Philox stream, which NumPy guarantees not to change; the distributions
+of ``Generator`` may change between releases, so the few that are needed are implemented here.
 """
 
 from __future__ import annotations

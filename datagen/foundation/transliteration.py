@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Transliteration to ASCII for ids and file names: Küche becomes Kueche, Öl-Eiche Oel-Eiche.
 
-German umlauts become two letters; other accents are removed; letters that are not a base letter with an
-accent (ø, ł, ß), Greek and Cyrillic are looked up in tables. Letters of other alphabets become their code
-points, so that two such names stay distinct.
+German umlauts become two letters, other accents are removed. Tables contain Greek, Cyrillic and the Latin
+letters that have no decomposition into base letter and accent (ø, ł, ß). Letters of other alphabets become
+their code points, so that distinct names stay distinct.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Versions of the software that affects pixels, recorded with every result and part of every unit's key."""
+"""Versions of the software that affects pixels; they are recorded with results and determine a unit's key."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PACKAGES = ("mitsuba", "drjit", "numpy", "OpenEXR", "pyoidn")
 
 
 def pixel_versions(*, has_light: bool = False) -> dict[str, str]:
-    """Return versions by name of the software that affects views (``has_light``: with light buffers)."""
+    """Return the versions, by name, of the software that affects views (``has_light``: and light buffers)."""
     found = {"result_revision": str(RESULT_REVISION), "plan_revision": str(PLAN_REVISION)}
     if has_light:
         found["light_revision"] = str(LIGHT_REVISION)

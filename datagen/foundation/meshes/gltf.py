@@ -54,7 +54,7 @@ _IMAGE_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp
 
 @dataclass(frozen=True)
 class PlacedNode:
-    """A node of the default scene, its transform (4, 4), and the index of its topmost ancestor, ``root``."""
+    """A node of the default scene and its transform (4, 4); ``root`` is the index of its topmost ancestor."""
 
     index: int
     root: int
@@ -67,10 +67,10 @@ class PlacedNode:
 
 
 class GltfFile:
-    """An open document, used as a context manager, which removes temporary image files at exit.
+    """An open glTF document. Referenced files must be in its folder or in the ``allowed`` folders.
 
-    It converts Python errors, which malformed documents cause in many places, to :class:`InputError`.
-    Referenced files must be in the document's folder or in the ``allowed`` folders.
+    As a context manager, it removes temporary image files at exit and converts the Python errors that
+    malformed documents cause in many places to :class:`InputError`.
     """
 
     def __init__(self, path: Path, budget: Budget | None = None, allowed: Sequence[Path] = ()):
@@ -170,7 +170,7 @@ class GltfFile:
     # data
 
     def resource(self, uri: str, user: str) -> bytes | Path:
-        """Return the content of a data URI, or the path of another URI's file, which may be missing."""
+        """Return the content of a data URI, or the path of another URI's file; the file may be missing."""
         if uri.startswith("data:"):
             try:
                 return base64.b64decode(uri.split(",", 1)[1], validate=True)
@@ -225,10 +225,10 @@ class GltfFile:
         return count
 
     def weight(self, primitive: dict[str, Any], user: str) -> int:
-        """Return the number of triangles that a primitive charges to a budget, without reading its data.
+        """Return the number of triangles to charge to a budget for a primitive, without reading its data.
 
-        This is at least the number of its faces and a third of its vertices. Raises :class:`InputError`
-        unless its attributes have one entry per vertex.
+        It is at least the number of faces and at least a third of the number of vertices. Raises
+        :class:`InputError` unless the attributes have one entry per vertex.
         """
         attributes = primitive.get("attributes", {})
         if "POSITION" not in attributes:
@@ -294,9 +294,9 @@ class GltfFile:
         return values
 
     def image_file(self, index: object, user: str) -> Path:
-        """Return the path of image ``index``, which may be missing.
+        """Return the path of the file of image ``index``; the file may be missing.
 
-        Embedded images and, converted to PNG, Basis Universal images are written to a temporary folder, once.
+        On first use, embedded images and Basis Universal images (as PNG) are written to a temporary folder.
         """
         entry = self.item("images", index, user)
         if index not in self._images:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Decoders of meshopt buffer views and Basis Universal images in glTF files (package extra ``gltf``).
+"""Decoders of meshopt buffer views and Basis Universal images in glTF files (optional dependency ``gltf``).
 
-Sizes are checked against the import's budget before anything is decoded.
+Sizes are checked against the budget of the import before decoding.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Triangle meshes in memory, and their faults.
 
-N is the number of vertices, M of triangles. Texture coordinate v points up (see ``datagen.formats.asset``).
+Shapes: N vertices, M triangles. Texture coordinate v points up (see ``datagen.formats.asset``).
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-SINGULAR = 1e-15  # transforms with smaller determinants flatten the mesh
+SINGULAR = 1e-15  # transforms of smaller determinant count as singular: they flatten the mesh
 LYING_COSINE = 0.01  # a normal within 0.6 degrees of its triangle's plane cannot be used for shading
 
 
 def area_vectors(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the normals (M, 3), with a length of twice the area, of triangles with corners (M, 3, 3)."""
+    """Return the normals (M, 3) of triangles with corners (M, 3, 3); their lengths are twice the areas."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
@@ -60,14 +60,14 @@ class Mesh:
         return Mesh(positions.astype(np.float32), self.faces, normals, self.uv)
 
     def placed(self, target_from_source: NDArray[np.float64]) -> Mesh:
-        """Return the mesh under :meth:`transformed`, with the winding reversed if it mirrors: fronts stay."""
+        """Return the transformed mesh; mirroring transforms also reverse the winding, which keeps front faces."""
         mesh = self.transformed(target_from_source)
         if np.linalg.det(target_from_source[:3, :3]) < 0:
             return replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, [0, 2, 1]]))
         return mesh
 
     def picked(self, vertices: NDArray[np.integer[Any]], corners: NDArray[np.integer[Any]]) -> Mesh:
-        """Return a mesh of the vertices with indices ``vertices`` (K,), to which ``corners`` (3 M,) refer."""
+        """Return a mesh of the vertices ``vertices`` (K,); ``corners`` (3 M,) are indices into these."""
         normals, uv = (None if array is None else array[vertices] for array in (self.normals, self.uv))
         return Mesh(self.positions[vertices], corners.reshape(-1, 3).astype(np.int32), normals, uv)
 
@@ -85,7 +85,7 @@ class Mesh:
         return areas
 
     def uv_per_m(self) -> float | None:
-        """Return the area-weighted median of UV units per metre; None without any area in UV space."""
+        """Return the area-weighted median of UV units per metre; None if no triangle has an area in UV."""
         if self.uv is None:
             return None
         corners = self.uv.astype(np.float64)[self.faces]
@@ -126,7 +126,7 @@ class MeshFaults:
 
     @property
     def is_unusable(self) -> bool:
-        """Whether the mesh has no surface, or has values that would invalidate a rendering."""
+        """True if the mesh has no surface, or has values that would invalidate a rendering."""
         return self.is_empty or self.non_finite > 0 or self.bad_indices > 0 or self.degenerate == self.total
 
 
@@ -166,7 +166,7 @@ def inspect_mesh(mesh: Mesh) -> MeshFaults:
 
 
 def welded(mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Return the distinct positions (K, 3) of a mesh, and for each vertex the index (N,) of its position."""
+    """Return the distinct positions (K, 3) of a mesh, and the index (N,) of each vertex's position."""
     positions = np.ascontiguousarray(mesh.positions, dtype=np.float32) + np.float32(0.0)  # -0.0 becomes 0.0
     keys = positions.view(np.dtype((np.void, 12))).ravel()
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
@@ -174,9 +174,9 @@ def welded(mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
 
 
 def edge_pairs(corners: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return pairs (P, 2) of triangles that share an edge; three at one edge are two pairs.
+    """Return the pairs (P, 2) of triangles that share an edge; n triangles at one edge form n - 1 pairs.
 
-    ``corners`` (M, 3) are the triangles' vertices, welded for pairs across seams.
+    ``corners`` (M, 3) are vertex indices; with those of :func:`welded`, pairs across seams are found too.
     """
     ends = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
     keys = ends[:, 0] * (int(corners.max(initial=0)) + 1) + ends[:, 1]
@@ -221,9 +221,9 @@ def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
 def with_sound_normals(mesh: Mesh) -> tuple[Mesh, int]:
     """Return the mesh with valid normals, and the number of normals that were replaced.
 
-    Zero and NaN normals become those of :func:`vertex_normals`, as do, uncounted, those of a mesh without
-    normals. A normal in the plane of its triangle (within ``LYING_COSINE``) may be parallel to the surface's
-    tangent, so no shading frame exists; at that corner, the triangle's normal replaces it.
+    Zero, NaN and missing normals become those of :func:`vertex_normals`; missing ones are not counted. A
+    normal in the plane of its triangle (within ``LYING_COSINE``) may be parallel to the tangent, so that no
+    shading frame exists; at that corner, the triangle's normal replaces it.
     """
     if mesh.normals is None:
         mesh = replace(mesh, normals=vertex_normals(mesh))
@@ -257,14 +257,14 @@ def lying_normals(mesh: Mesh) -> NDArray[np.bool_]:
 
 
 def flat_shaded(mesh: Mesh) -> Mesh:
-    """Return the mesh with separate vertices for each triangle, which have the triangle's normal."""
+    """Return the mesh with three vertices of its own for each triangle, which have the triangle's normal."""
     normal = unit_vectors(area_vectors(mesh.triangles()), [0.0, 0.0, 1.0])
     split = mesh.picked(mesh.faces.ravel(), np.arange(mesh.faces.size))
     return replace(split, normals=np.repeat(normal, 3, axis=0).astype(np.float32))
 
 
 def compacted(mesh: Mesh) -> Mesh:
-    """Return the mesh without unused vertices; those of equal position, normal and UV are merged."""
+    """Return the mesh without unused vertices; vertices of equal position, normal and UV are merged."""
     columns = [a for a in (mesh.positions, mesh.normals, mesh.uv) if a is not None]
     table = np.ascontiguousarray(np.concatenate(columns, axis=1)[mesh.faces.ravel()]) + np.float32(0.0)
     keys = table.view(np.dtype((np.void, table.dtype.itemsize * table.shape[1]))).ravel()
@@ -273,7 +273,7 @@ def compacted(mesh: Mesh) -> Mesh:
 
 
 def without_degenerate(mesh: Mesh) -> Mesh:
-    """Return the mesh without triangles of zero area and the vertices that only they use."""
+    """Return the mesh without triangles of zero area and without the vertices that only those use."""
     keep = mesh.areas() > 0
     return mesh if keep.all() else mesh.submesh(keep)
 

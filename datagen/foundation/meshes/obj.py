@@ -16,11 +16,14 @@ from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh
 
-_BLOCK = 1 << 16  # number of lines split into words at once; words take ten times the memory of lines
+_BLOCK = 1 << 16  # number of lines split into words at once, since words take ten times the memory of lines
 
 
 def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
-    """Read an OBJ file; equal (position, uv, normal) are one vertex. Raises :class:`InputError` if bad."""
+    """Read an OBJ file. Corners with equal position, UV and normal share a vertex.
+
+    Raises :class:`InputError` for an unreadable or malformed file.
+    """
     budget = budget or Budget(path)
     data = budget.read_file(path, "a readable OBJ file")
     positions: list[bytes] = []

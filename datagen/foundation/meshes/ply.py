@@ -44,7 +44,7 @@ def encode_ply(mesh: Mesh) -> bytes:
 
 
 def read_ply(path: Path, budget: Budget | None = None) -> Mesh:
-    """Read a PLY file. Raises :class:`InputError` if it is unreadable, or as :func:`decode_ply` does."""
+    """Read a PLY file. Raises :class:`InputError` if it is unreadable or refused by :func:`decode_ply`."""
     budget = budget or Budget(path)
     return decode_ply(budget.read_file(path, "a readable PLY file"), path, budget)
 
@@ -52,7 +52,7 @@ def read_ply(path: Path, budget: Budget | None = None) -> Mesh:
 def decode_ply(data: bytes, where: str | Path, budget: Budget | None = None) -> Mesh:
     """Decode PLY bytes (little-endian binary or ASCII); polygons are split into fans of triangles.
 
-    ``budget``: that of the enclosing import, if any. Raises :class:`InputError` if the file is truncated, of
+    ``budget``: the enclosing import's budget, if any. Raises :class:`InputError` if the file is truncated, of
     another format or without positions. Indices and finiteness are not checked (see :func:`inspect_mesh`).
     """
     if budget is None:
