@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Thorough checks of an asset package, beyond the schema: meshes, textures, lights and regions.
+"""Checks of an asset package beyond its schema: meshes, textures, lights and support surfaces.
 
 Errors make a package unusable. Non-manifold edges and flipped triangles are warnings, since most published
 scenes have some.
@@ -37,7 +37,7 @@ _REEXPORT = "re-export the asset"
 
 @dataclass(frozen=True)
 class CheckReport:
-    """Errors and warnings that :func:`check_package` found in a number of packages."""
+    """Errors and warnings that :func:`check_package` found in ``num_packages`` packages."""
 
     errors: tuple[Problem, ...]
     warnings: tuple[Problem, ...]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The library: asset packages in folders, indexed by id, with kind, classes, category, licence and hash.
+"""Libraries: asset packages in folders, indexed by id, and summaries of their contents.
 
 Opening a library reads only descriptions (``asset.json``), neither meshes nor images.
 """
@@ -46,7 +46,7 @@ def resolve_library_paths(names: Iterable[str], base: Path) -> tuple[Path, ...]:
 class Library:
     """Asset packages of one or more folders, indexed by id.
 
-    ``paths`` are folders that are searched for packages (folders or zip files), or packages. Raises
+    ``paths`` are packages (folders or zip files), or folders that are searched for packages. Raises
     :class:`InputError` with all unreadable packages, duplicate ids and missing folders.
     """
 
@@ -82,7 +82,7 @@ class Library:
         return sha256_hex(canonical_json({package.id: package.sha256 for package in self}))
 
     def package(self, asset_id: str) -> Package:
-        """The package with this id. Raises :class:`InputError`, with similar ids, if there is none."""
+        """Return the package with this id. Raises :class:`InputError`, with similar ids, if there is none."""
         if asset_id in self._packages:
             return self._packages[asset_id]
         near = difflib.get_close_matches(asset_id, self._packages, 3)
@@ -91,18 +91,18 @@ class Library:
         raise InputError(Problem(where, "asset", repr(asset_id), "an asset of the library", hint))
 
     def including(self, package: Package) -> Library:
-        """A copy of this library with ``package``, which replaces a package of the same id."""
+        """Return a copy of this library with ``package``, which replaces a package of the same id."""
         other = copy.copy(self)
         other._packages = {**self._packages, package.id: package}
         other.__dict__.pop("sha256", None)
         return other
 
     def root_of(self, package: Package) -> Path:
-        """The element of :attr:`paths` in which a package was found."""
+        """Return the element of :attr:`paths` in which a package was found."""
         return next(root for root in self.paths if package.path.is_relative_to(root))
 
     def select(self, kind: AssetKind, *, for_training: bool = True) -> list[Package]:
-        """Packages of a kind by id, without those marked ``evaluation_only`` if ``for_training``."""
+        """List a kind's packages, sorted by id; ``for_training`` omits those marked ``evaluation_only``."""
         return [
             package
             for package in self
@@ -111,7 +111,7 @@ class Library:
         ]
 
     def categories(self, *, for_training: bool = True) -> list[str]:
-        """Sorted categories of the objects, without ``evaluation_only`` ones if ``for_training``."""
+        """List the objects' categories, sorted; ``for_training`` omits ``evaluation_only`` objects."""
         objects = self.select("object", for_training=for_training)
         return sorted({p.asset.category for p in objects if isinstance(p.asset, ObjectAsset)})
 
@@ -122,7 +122,7 @@ class Library:
 
 
 def find_packages(root: Path) -> list[Path]:
-    """Sorted paths of the packages at or below a folder; names that start with '.' are skipped."""
+    """List the paths of the packages at or below a folder, sorted; names that start with '.' are skipped."""
     if is_package(root):
         return [root]
     found: list[Path] = []
@@ -140,7 +140,7 @@ def find_packages(root: Path) -> list[Path]:
 
 
 def _packages_of(roots: Iterable[Path], problems: list[Problem]) -> list[Path]:
-    """Paths of the packages of all ``roots``; adds missing folders and other files to ``problems``."""
+    """List the packages' paths in all ``roots``; add missing folders and other files to ``problems``."""
     found: list[Path] = []
     for root in roots:
         if not root.exists():
@@ -155,7 +155,7 @@ def _packages_of(roots: Iterable[Path], problems: list[Problem]) -> list[Path]:
 
 
 def _opened(paths: Iterable[Path], problems: list[Problem]) -> Iterator[Package]:
-    """Yield the packages at ``paths``; adds unreadable packages and ids that occur twice to ``problems``."""
+    """Yield the packages at ``paths``; add unreadable packages and duplicate ids to ``problems``."""
     seen: dict[str, Path] = {}
     for path in paths:
         try:
@@ -171,7 +171,7 @@ def _opened(paths: Iterable[Path], problems: list[Problem]) -> Iterator[Package]
 
 
 def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
-    """Classes of a material, or the main classes of the slots of an object or room; empty for a panorama."""
+    """Return a material's classes, or the main classes of an object's or room's slots; () for a panorama."""
     if isinstance(asset, PanoramaAsset):
         return ()
     if isinstance(asset, MaterialAsset):
@@ -181,7 +181,7 @@ def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class AssetSummary:
-    """A row in the table of assets; ``detail``: category, classes, time of day, or counts of a room."""
+    """A row in the table of assets; ``detail``: category, classes, time of day, or a room's part counts."""
 
     id: str
     kind: AssetKind
@@ -224,7 +224,7 @@ def summarize(package: Package, *, with_hash: bool = True) -> AssetSummary:
 
 
 def describe_library(paths: Iterable[str | Path], *, with_hash: bool = False) -> list[AssetSummary]:
-    """Summaries of all assets of the libraries ``paths``, ordered by kind, then id."""
+    """Summarise all assets of the libraries ``paths``, ordered by kind, then id."""
     order = get_args(AssetKind)
     with Library(paths) as library:
         lines = [summarize(package, with_hash=with_hash) for package in library]
@@ -234,8 +234,7 @@ def describe_library(paths: Iterable[str | Path], *, with_hash: bool = False) ->
 def check_library(paths: Iterable[str | Path], progress: Advance = no_advance) -> CheckReport:
     """Read every mesh and texture of all packages and report all faults.
 
-    Unlike :class:`Library`, this continues after packages that cannot be opened. ``progress(done, total)``
-    counts packages.
+    Packages that cannot be opened are reported too. ``progress(done, total)`` counts packages.
     """
     errors: list[Problem] = []
     warnings: list[Problem] = []

@@ -34,7 +34,7 @@ DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check the input, 
 
 @dataclass(frozen=True)
 class RecipeChanges:
-    """Options that override values of a recipe; None keeps the recipe's value."""
+    """Options that override keys of a recipe; None keeps the recipe's value."""
 
     library: LibraryOption = None
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the recipe's.")] = None
@@ -42,7 +42,7 @@ class RecipeChanges:
     views: Annotated[int | None, typer.Option(help="Views per configuration.")] = None
 
     def load(self, path: Path) -> tuple[Path, Recipe]:
-        """Read a recipe, by path or bundled name; returns its path and the recipe with these changes."""
+        """Read a recipe by path or bundled name; return its path and the recipe with these changes."""
         from datagen.formats.base import parse_model, read_yaml
         from datagen.formats.recipe import Recipe
 
@@ -57,7 +57,7 @@ class RecipeChanges:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of a run; without ``only``, all stages run; without ``unit``, all units."""
+    """Options of a run: by default, all stages of all units."""
 
     only: Annotated[
         Literal["render", "stats", "pack", "index"] | None,
@@ -81,7 +81,7 @@ class RunOptions:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """Stages of units; empty if only the index is requested."""
+        """Stages to run for each unit; empty if only the index is requested."""
         return STAGES if self.only is None else tuple(stage for stage in STAGES if stage == self.only)
 
 
@@ -159,7 +159,7 @@ def _check_planned(folder: Path, changes: RecipeChanges) -> None:
 
 
 def _plan(recipe_path: Path, changes: RecipeChanges, out: Path, workers: int, dry_run: bool) -> None:
-    """Plan a recipe or, if ``dry_run``, check all that could stop a run, and print the recipe."""
+    """Plan a recipe or, if ``dry_run``, check for anything that would stop a run and print the recipe."""
     recipe_path, recipe = changes.load(recipe_path)
     if not dry_run:
         plan_recipe(recipe, recipe_path.parent, out, workers)
@@ -180,7 +180,7 @@ def _open_library(recipe: Recipe, base: Path) -> Library:
 
 
 def plan_recipe(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
-    """Plan ``recipe`` into ``out`` and print a summary; its paths are relative to the folder ``base``."""
+    """Plan ``recipe``, whose paths are relative to ``base``, in the folder ``out``, and print a summary."""
     from datagen.farm.planning import create_plan, read_configurations
     from datagen.inspection.report.summary import plan_summary
 
@@ -206,7 +206,7 @@ def _print_left(out: Path, options: RunOptions) -> None:
 
 
 def _write_index(out: Path, deep: bool, has_sheets: bool) -> None:
-    """Write the index and, if requested, contact sheets; the command exits with 1 if units are missing."""
+    """Write the index and, if requested, contact sheets; exit with code 1 if units are missing."""
     from datagen.farm.collect import collect
 
     def removed(path: Path) -> None:
@@ -228,7 +228,7 @@ def _write_index(out: Path, deep: bool, has_sheets: bool) -> None:
 def _run_stages(out: Path, workers: int, options: RunOptions) -> None:
     """Run stages of units with a progress bar and, if requested, the preview page.
 
-    The command exits with 75 if interrupted, with 1 if units failed.
+    Exits with code 75 if interrupted and 1 if units failed.
     """
     from datagen.farm.folder import DatasetFolder
     from datagen.farm.local import LocalOptions, run_local

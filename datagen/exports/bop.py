@@ -2,7 +2,7 @@
 """Writes 3D boxes and object poses in the layout of the BOP benchmark: ``<split>/000000/scene_gt.json`` etc.
 
 Lengths are in millimetres; camera axes are as in this project: x right, y down, z forward. BOP's poses are
-rigid, so each scale of an object is a separate model. ``boxes3d.json`` contains the world-space boxes, in
+rigid, so an object at another scale is another model. ``boxes3d.json`` contains the world-space boxes, in
 metres, of all objects, visible or not. ``mask_visib`` and ``bbox_visib`` cover the visible pixels,
 ``bbox_obj`` all projected vertices.
 """
@@ -27,7 +27,7 @@ ModelKey = tuple[str, tuple[float, float, float]]
 
 
 def pose_and_scale(placed: PlacedAsset) -> tuple[NDArray[np.float64], tuple[float, float, float]]:
-    """Return an object's rigid ``world_from_object`` (4, 4) and its scale along each of its axes.
+    """Return an object's rigid pose ``world_from_object`` (4, 4) and its scale along each of its axes.
 
     Raises :class:`InputError` for a sheared or mirrored object.
     """
@@ -116,7 +116,7 @@ class BopFiles:
         objects: dict[str, tuple[NDArray[np.float64], tuple[float, float, float], ModelKey]],
         vertices: dict[str, NDArray[np.float64]],
     ) -> tuple[dict[str, Any], list[dict[str, Any]], list[dict[str, Any]]]:
-        """Write view number ``image``, and return its entries of the scene's tables: camera, poses and boxes.
+        """Write view number ``image``; return its entries in the scene's tables: camera, poses and boxes.
 
         ``objects``: pose, scale and model by name; ``vertices``: scaled mesh vertices (N, 3) by name.
         """
@@ -164,7 +164,7 @@ class BopFiles:
         return entry, poses, infos
 
     def finish(self) -> None:
-        """Write the models and ``models_info.json``, in mm; ``diameter`` is the bounding box's diagonal."""
+        """Write the models and ``models_info.json`` in mm; ``diameter`` is the bounding box's diagonal."""
         infos: dict[str, Any] = {}
         for key, number in self.numbers.items():
             mesh = self.mesh(key).transformed(np.diag([1e3, 1e3, 1e3, 1.0]))

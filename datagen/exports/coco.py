@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Writes boxes and masks in COCO's layout: ``images/<split>/*.png``, ``annotations/instances_<split>.json``.
 
-Masks are in COCO's compressed run-length encoding: run lengths by column, background first, minus the length
-two runs earlier from the fourth run on, in groups of five bits.
+Masks are in COCO's compressed run-length encoding: lengths of column-major runs, background first; from the
+fourth run on, the difference to the length two runs earlier; each number in groups of five bits.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from datagen.formats.asset import ObjectAsset
 
 
 class CocoFiles:
-    """Writer of the images of each room; :meth:`finish` writes the annotations of all rooms."""
+    """Writer of a dataset in COCO's layout; :meth:`finish` writes the annotations of all rooms."""
 
     def __init__(self, export: Export):
         self.export = export
@@ -27,7 +27,7 @@ class CocoFiles:
         self.ids = {name: number for number, name in enumerate(sorted(names), start=1)}
 
     def category(self, asset_id: str) -> str:
-        """Return an asset's category if the library contains it as an object, else its id."""
+        """Return the category of an asset if it is an object of the library, else its id."""
         library = self.export.library
         if library is not None and asset_id in library:
             asset = library.package(asset_id).asset

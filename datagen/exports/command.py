@@ -23,9 +23,9 @@ FORMATS = {
     "bop": ("BopFiles", "3D boxes, poses and meshes of objects (needs the library)"),
     "flow": ("export_flow", "optical flow between views that overlap, with masks of visible points"),
 }
-"""Writer, in the module of the format's name, and description of each format.
+"""Name of the writer and description of each format; the writer's module has the name of the format.
 
-A writer is a class with ``add`` and ``finish``, or a function for one room."""
+A writer is a class with ``add`` (called for each room) and ``finish``, or a function called for each room."""
 
 
 def export(

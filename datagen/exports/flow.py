@@ -3,7 +3,7 @@
 
 flow(p) = project_b(unproject_a(p, depth_a(p))) - p, in pixels, for every pixel p of view a whose surface
 point is in front of camera b; elsewhere 1e10, the format's value for unknown flow. The mask is True where the
-point is visible in b: the surface seen there has the same instance and a plane through the point.
+point is visible in b: b's surface at its projection is near it, in its plane and of the same instance.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from datagen.foundation.images import encode_png
 
 UNKNOWN = 1e10
 _COARSE = 8  # pixel step of the coarse flow that selects pairs of views
-# relative to distance, since half-float normals have errors of 1e-3 and pixels are 1e-3 to 3e-3 wide
+# relative to distance; normals in half floats have errors of 1e-3, and pixels subtend 1e-3 to 3e-3 rad
 _PLANE_TOLERANCE = 4e-3
 _NAMES = ("depth_z_m", "normal_world", "instance_id")
 
@@ -33,7 +33,7 @@ def flow_between(
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return the flow (h, w, 2) in pixels from view a to b, and the mask (h, w) of points visible in b.
 
-    Only every ``step``-th row and column of view a is used. Buffers (H, W, C) are as stored, by name.
+    Only every ``step``-th row and column of view a is used. Buffers are stored arrays (H, W, C) by name.
     """
     depth = buffers_a["depth_z_m"][::step, ::step, 0].astype(np.float64)
     pixels = camera_a.pixel_centers()[::step, ::step]
@@ -62,7 +62,10 @@ def encode_flo(flow: NDArray[np.float32]) -> bytes:
 
 
 def export_flow(export: Export, room: Room) -> None:
-    """Write images, and the flow from each view to the ``export.neighbours`` views that show most of it."""
+    """Write images, and the flow from each view to the ``export.neighbours`` views that show most of it.
+
+    Views that show less than the share ``export.min_overlap`` of it are left out.
+    """
     name, views = room.configuration.id, room.views
     read = [view.read(*_NAMES) for view in views]
     cameras = [view.camera for view in views]

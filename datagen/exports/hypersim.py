@@ -40,7 +40,7 @@ def encode_hdf5(array: NDArray) -> bytes:
 
 
 def cam_from_uv(camera: Camera) -> NDArray[np.float64]:
-    """Return the (3, 3) matrix from (u, v, 1), u right, v up, in [-1, 1], to camera rays (-z forward)."""
+    """Return the (3, 3) matrix from (u, v, 1) in [-1, 1], u right and v up, to camera rays (-z forward)."""
     half_width, half_height = camera.width_px / 2, camera.height_px / 2
     x = [half_width / camera.fx_px, 0.0, (half_width - camera.cx_px) / camera.fx_px]
     y = [0.0, half_height / camera.fy_px, (camera.cy_px - half_height) / camera.fy_px]
@@ -48,7 +48,7 @@ def cam_from_uv(camera: Camera) -> NDArray[np.float64]:
 
 
 def projection(camera: Camera) -> NDArray[np.float64]:
-    """Return OpenGL's projection matrix (4, 4) of a camera that looks along -z."""
+    """Return the projection matrix (4, 4) of a camera in OpenGL's convention (it looks along -z)."""
     width, height, depth = camera.width_px, camera.height_px, _FAR_M - _NEAR_M
     return np.array(
         [
@@ -90,7 +90,7 @@ class HypersimFiles:
         self.export.write(f"{name}/_detail/metadata_scene.csv", text.encode())
 
     def frame(self, folder: str, frame: int, view: RoomView) -> None:
-        """Write a view's buffers as frame number ``frame``; ``folder``: prefix of the output folders."""
+        """Write a view's buffers as frame number ``frame``; ``folder`` is a prefix of the output folders."""
         camera, buffers = view.camera, view.read(*_BUFFERS)
         depth = buffers["depth_z_m"][..., 0].astype(np.float64)
         points = camera.unproject(camera.pixel_centers(), depth)

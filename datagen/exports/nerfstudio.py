@@ -2,9 +2,9 @@
 """Writes a folder per room with ``transforms.json``, for nerfstudio, instant-ngp and Gaussian splatting.
 
 Cameras look along -z with y up (OpenGL); the world has Z up and is in metres. All images of a room share one
-exposure, since a radiance field would reproduce exposure changes. Depth is along the optical axis, as 16-bit
-PNG in units of ``depth_unit_scale_factor`` metres; ``points.ply`` contains coloured surface points to
-initialise splats.
+exposure, since a radiance field would reproduce exposure changes. Depth is along the optical axis, stored as
+16-bit PNG in units of ``depth_unit_scale_factor`` metres; ``points.ply`` contains coloured surface points
+that initialise Gaussians.
 """
 
 from __future__ import annotations

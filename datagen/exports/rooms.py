@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Code shared by the exports: reading rooms and views of a dataset, and writing files of an export.
+"""Code shared by the exports: reading the rooms and views of a dataset, and writing the files of an export.
 
-A room is a configuration with its shard. Buffers are read view by view, on demand.
+A room is a configuration with its shard. Buffers are read one view at a time, on demand.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ class RoomView:
         return self.record.camera.camera()
 
     def read(self, *names: str) -> dict[str, NDArray]:
-        """Return buffers (H, W, C) as stored, by name."""
+        """Read the buffers ``names``: arrays (H, W, C) of the stored types, by name."""
         return read_buffers(self.place, names)
 
 
 @dataclass(frozen=True)
 class Room:
-    """A configuration and its views, read from a shard on first use."""
+    """A configuration and its views, read from the file ``shard`` on first use."""
 
     shard: Path
     split: Split
@@ -86,7 +86,7 @@ class Export:
         self.num_files += 1
 
     def write_json(self, name: str, value: dict[str, Any]) -> None:
-        """Write JSON with one line per top-level key, for readability of long files."""
+        """Write JSON with one line per top-level key, which keeps long files readable."""
         lines = (f"{json.dumps(key)}: {json.dumps(item)}" for key, item in value.items())
         self.write(name, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
 
@@ -123,10 +123,10 @@ def open_rooms(dataset: Path, split: Split | None, only: Sequence[str]) -> list[
 
 
 def claim_folder(out: Path, format_name: str, dataset: Path, command: dict[str, Any]) -> None:
-    """Create ``out`` and mark it as an export; an earlier one of the same selection may be overwritten.
+    """Create the folder ``out`` with a marker file; an earlier export with the same options is overwritten.
 
     ``command``: options recorded in the marker. Raises :class:`InputError` for a folder with other contents,
-    such as another split: each export numbers its categories and models anew.
+    such as an export of another split, since each export numbers categories and models anew.
     """
     marker, name = out / MARKER, dataset.resolve().name
     note = {"format": "scene-materials/export", "layout": format_name, "dataset": name, **command}

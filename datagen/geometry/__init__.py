@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Visibility of a capture's mesh in each view, and normals for meshes that have none."""
+"""Ray tracing of a capture's mesh from its views, normals for meshes without any, and texture lookup."""

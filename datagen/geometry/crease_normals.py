@@ -16,9 +16,9 @@ _MAX_AROUND = 128  # maximum number of triangles averaged at a vertex
 def with_normals(mesh: Mesh) -> Mesh:
     """Return ``mesh`` itself if it has normals, else a copy with normals that are discontinuous at creases.
 
-    Vertices are split at creases; faces keep their order. The normal of a triangle's corner is the
+    Vertices are split at creases; faces keep their order. The normal at a triangle's corner is the
     area-weighted mean over the triangles at the same vertex whose normals differ by less than ``CREASE_RAD``
-    from the triangle's own, so large flat walls stay flat next to narrow bevels.
+    from the triangle's own. Weighting by area keeps large walls flat next to narrow bevels.
     """
     if mesh.normals is not None:
         return mesh

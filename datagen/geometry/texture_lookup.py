@@ -12,9 +12,9 @@ from datagen.geometry.traced import ViewGeometry
 
 
 def pixel_uv(mesh: Mesh, camera: Camera, geometry: ViewGeometry) -> NDArray[np.float64]:
-    """UVs (H, W, 2) of ``mesh`` at the non-emitting surface under each pixel's centre, NaN elsewhere.
+    """Return the UVs (H, W, 2) of ``mesh`` at each pixel's centre, NaN off surfaces and on emitters.
 
-    ``geometry`` is that of the view; its triangles are those of ``mesh``.
+    ``geometry`` is the result of tracing ``camera`` against ``mesh``, which must have UVs.
     """
     assert mesh.uv is not None
     face = np.maximum(geometry.face, 0)
@@ -32,7 +32,7 @@ def pixel_uv(mesh: Mesh, camera: Camera, geometry: ViewGeometry) -> NDArray[np.f
 
 
 def looked_up(array: NDArray, uv: NDArray) -> NDArray[np.float64]:
-    """Interpolate a map (N, N, C) bilinearly at UVs (K, 2); returns values (K, C)."""
+    """Interpolate a map (N, N, C) bilinearly at UVs (K, 2), clamped at the border; return values (K, C)."""
     size = array.shape[0]
     x = np.clip(uv[:, 0] * size - 0.5, 0, size - 1)
     y = np.clip((1 - uv[:, 1]) * size - 0.5, 0, size - 1)

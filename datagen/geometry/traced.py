@@ -24,17 +24,17 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 PIXEL_RAYS = 16
-"""Number of rays per pixel, at Hammersley points: 16 distinct positions along both axes."""
+"""Number of rays per pixel, at the points of a Hammersley set: 16 distinct positions along each axis."""
 
 
 @dataclass(frozen=True)
 class ViewGeometry:
-    """The first surfaces that rays through the pixel centres of a view hit.
+    """First hits of rays through the pixel centres of a view.
 
     ``depth_z_m`` (H, W, 1), 0 where nothing is hit; ``normal_world`` (H, W, 3), unit, facing the camera, 0
     where nothing is hit; ``surface_mask`` (H, W, 1), 1 on surfaces that do not emit, else 0; ``face`` (H, W),
-    index of the triangle, -1 where nothing is hit; ``is_front`` (H, W), True where the triangle
-    appears counter-clockwise.
+    index of the triangle, -1 where nothing is hit; ``is_front`` (H, W), True where the triangle appears
+    counter-clockwise.
     """
 
     depth_z_m: NDArray[np.float32]
@@ -77,7 +77,7 @@ class TracedGeometry:
         self._emits = geometry.emitter_mask()
 
     def trace_view(self, camera: Camera, valid_mask: NDArray[np.bool_] | None = None) -> ViewGeometry:
-        """Trace the pixel centres of ``camera``; pixels outside ``valid_mask`` (H, W) count as misses."""
+        """Trace rays through the pixel centres of ``camera``; pixels not in ``valid_mask`` (H, W) are misses."""
         import drjit as dr
         import mitsuba as mi
 
@@ -107,7 +107,7 @@ class TracedGeometry:
         )
 
     def faces_at(self, origin_m: NDArray, direction: NDArray) -> NDArray[np.int32]:
-        """Return the triangle (K,) that each ray hits first, -1 for none.
+        """Return the index (K,) of the triangle that each ray hits first, -1 for none.
 
         Rays start at ``origin_m`` (K, 3) in unit directions ``direction`` (K, 3).
         """
@@ -155,7 +155,7 @@ def reachable_faces(
 def seen_sides(views: Sequence[ViewGeometry], num_faces: int) -> NDArray[np.float32]:
     """Return a sign (M,) per triangle: 1 if more pixels show its front than its back, -1 if fewer.
 
-    The sign times the normal points to the visible side. Triangles without a majority get the sign of most.
+    The sign times the normal points to the visible side. Undecided triangles get the most frequent sign.
     """
     balance = np.zeros(num_faces, dtype=np.int64)
     for view in views:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reading of a capture's views and ray tracing of its mesh: the input of all reconstruction stages."""
+"""Reads a capture's views and traces its mesh at their pixels: the input of all stages of reconstruction."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from datagen.multiview.statistics import StatisticsView
 class TracedView:
     """A view of a capture, with the surfaces at its pixel centres (``geometry``).
 
-    ``color`` (H, W, 3), linear radiance; ``valid_mask`` (H, W), False at pixels without a photographed value;
-    ``clipped_mask`` (H, W, 3), True where ``color`` is a lower bound, None without a known limit; ``limit``,
-    the radiance at which the sensor clips, None if unknown.
+    ``color`` (H, W, 3), linear radiance; ``valid_mask`` (H, W), False where the photograph has no value;
+    ``limit``, radiance at which the sensor clips, and ``clipped_mask`` (H, W, 3), True where ``color`` is
+    therefore a lower bound; both are None if the sensor's limit is unknown.
     """
 
     camera: Camera

@@ -60,7 +60,7 @@ class Mesh:
         return Mesh(positions.astype(np.float32), self.faces, normals, self.uv)
 
     def placed(self, target_from_source: NDArray[np.float64]) -> Mesh:
-        """Return the transformed mesh; mirroring transforms also reverse the winding, which keeps front faces."""
+        """Return the transformed mesh; under a mirroring transform, the winding is reversed to keep fronts."""
         mesh = self.transformed(target_from_source)
         if np.linalg.det(target_from_source[:3, :3]) < 0:
             return replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, [0, 2, 1]]))
