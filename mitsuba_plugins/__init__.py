@@ -43,8 +43,8 @@ def register() -> None:
 def load_dict(scene: dict[str, Any], **options: Any) -> Any:
     """Load ``scene`` by ``mitsuba.load_dict``, and raise one :class:`InputError` for all faulty materials.
 
-    ``mitsuba.load_dict`` alone raises a ``RuntimeError`` at the first fault. ``options`` (``parallel``,
-    ``optimize``) are passed to it.
+    ``mitsuba.load_dict`` alone would raise a ``RuntimeError`` at the first fault; ``options`` (``parallel``,
+    ``optimize``) are passed on.
     """
     import mitsuba as mi
 

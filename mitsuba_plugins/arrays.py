@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Conversion between NumPy and Dr.Jit arrays such that kernels depend neither on sizes nor on values."""
+"""Conversion between NumPy and Dr.Jit arrays without recompiling kernels for every size and value."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _ALIGNMENT = 64  # bytes of the widest SIMD register
 
 
 def aligned_empty(size: int, dtype: Any) -> NDArray:
-    """Flat, uninitialised array (``size``,) in memory aligned for packet loads, which Dr.Jit can share.
+    """Return an uninitialised array (``size``,) in memory aligned for packet loads by Dr.Jit.
 
     On the CPU, Dr.Jit uses NumPy's memory directly. If it is not aligned, Dr.Jit compiles another kernel with
     scalar gathers instead of packet loads, so the allocator would determine which kernel runs.
@@ -24,14 +24,14 @@ def aligned_empty(size: int, dtype: Any) -> NDArray:
 
 
 def aligned(array: NDArray, dtype: Any = None) -> NDArray:
-    """Flat copy of ``array`` in aligned memory, as ``dtype`` if given."""
+    """Return a flat copy of ``array`` in aligned memory, as ``dtype`` if given."""
     flat = aligned_empty(array.size, dtype or array.dtype)
     flat[:] = array.ravel()
     return flat
 
 
 def vectors_from_rows(rows: NDArray) -> Any:
-    """Convert an array (N, 3) to a ``mi.Vector3f`` without a separate kernel for each N.
+    """Convert an array (N, 3) to a ``mi.Vector3f`` without compiling a kernel for each N.
 
     ``mi.Vector3f(array)`` would make N a literal of the kernels.
     """
@@ -51,8 +51,9 @@ def point_argument(position_m: NDArray) -> Any:
 
 
 def rows_from_vectors(vectors: Any) -> NDArray[np.float32]:
-    """Convert a ``mi.Vector3f`` or ``mi.Color3f`` to an array (N, 3), the inverse of
-    :func:`vectors_from_rows`; ``vectors.numpy()`` would run a separate kernel for each N.
+    """Convert a ``mi.Vector3f`` or ``mi.Color3f`` to an array (N, 3).
+
+    Inverse of :func:`vectors_from_rows`; ``vectors.numpy()`` would compile a kernel for each N.
     """
     import drjit as dr
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Conversion of positions, in units of cells, to cell indices in Dr.Jit kernels."""
+"""Conversion of positions on a regular grid to cell indices in Dr.Jit kernels."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 def cell_of(position: Any, count: int) -> Any:
     """Index (UInt32), clamped to [0, ``count``), of the cell that contains ``position`` (in units of cells).
 
-    NaN maps to a valid index too. ``dr.clip`` would keep NaN, whose conversion to an unsigned integer depends
-    on the processor (2^32 - 1 with AVX-512, 2^31 with AVX2) and crashes the process in a gather.
+    NaN yields a valid index too. ``dr.clip`` would keep NaN, whose conversion to an unsigned integer depends
+    on the processor (2^32 - 1 with AVX-512, 2^31 with AVX2); a gather at this index crashes the process.
     """
     import drjit as dr
     import mitsuba as mi

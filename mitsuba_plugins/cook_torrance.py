@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The BSDF ``cook_torrance``, the project's only material model, as a thin Mitsuba plugin.
+"""The BSDF ``cook_torrance``, the project's only material model, as a Mitsuba plugin.
 
 f(wi, wo) = (1 - S) D / pi  +  F(S, wi.h) D_b(h; alpha) G1(wi) G1(wo) / (4 cos_i cos_o)
 
@@ -63,7 +63,7 @@ class CookTorrance(mi.BSDF):
     # ---- the material's channels -------------------------------------------------------------------------
 
     def surface_parameters(self, si: mi.SurfaceInteraction3f, active: Array = True) -> tuple[Any, Any, Any]:
-        """(D, S, R) as used in rendering: D and S Color3f in [0, 1], R Float in [0, 1]."""
+        """Return (D, S, R) as used in rendering: D and S (Color3f) and R (Float) are clamped to [0, 1]."""
         return (
             beckmann.effective_albedo(self.diffuse_albedo.eval(si, active)),
             beckmann.effective_albedo(self.specular_albedo.eval(si, active)),
@@ -71,16 +71,16 @@ class CookTorrance(mi.BSDF):
         )
 
     def has_attribute(self, name: str, active: Array = True) -> Any:
-        """Whether ``name`` is ``diffuse_albedo``, ``specular_albedo`` or ``roughness``."""
+        """Return whether ``name`` is ``diffuse_albedo``, ``specular_albedo`` or ``roughness``."""
         return name in COLOR_ATTRIBUTES or name in SCALAR_ATTRIBUTES
 
     def eval_attribute_1(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
-        """Attribute ``name`` as a Float: a scalar, or the luminance of a colour; 0 if it is unknown."""
+        """Return attribute ``name`` as a Float: a scalar, or the luminance of a colour; 0 if unknown."""
         value = self._attribute(name, si, active)
         return mi.luminance(value) if name in COLOR_ATTRIBUTES else value
 
     def eval_attribute_3(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
-        """Attribute ``name`` as a Color3f, with scalars repeated in every channel; 0 if it is unknown."""
+        """Return attribute ``name`` as a Color3f, with scalars repeated in every channel; 0 if unknown."""
         return mi.Color3f(self._attribute(name, si, active))
 
     eval_attribute = eval_attribute_3
@@ -90,11 +90,11 @@ class CookTorrance(mi.BSDF):
             return beckmann.effective_albedo(getattr(self, name).eval(si, active))
         if name in SCALAR_ATTRIBUTES:
             return beckmann.effective_roughness(getattr(self, name).eval_1(si, active))
-        # As in Mitsuba's BSDFs, since an indirect call queries all BSDFs, also those without the attribute.
+        # No error, as in Mitsuba's BSDFs: indirect calls also query BSDFs without the attribute.
         return mi.Float(0.0)
 
     def eval_diffuse_reflectance(self, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
-        """(1 - S) D, the albedo of the diffuse term."""
+        """Return (1 - S) D, the albedo of the diffuse term."""
         diffuse, specular, _ = self.surface_parameters(si, active)
         return (1.0 - specular) * diffuse
 
@@ -103,17 +103,17 @@ class CookTorrance(mi.BSDF):
     def eval(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: Array, active: Array = True
     ) -> Array:
-        """BSDF times cosine, f(wi, wo) cos_o (Color3f)."""
+        """Return the BSDF times the cosine, f(wi, wo) cos_o (Color3f)."""
         return self.eval_pdf(ctx, si, wo, active)[0]
 
     def pdf(self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: Array, active: Array = True) -> Array:
-        """Density [1/sr] with which :meth:`sample` samples ``wo``."""
+        """Return the density [1/sr] with which :meth:`sample` samples ``wo``."""
         return self.eval_pdf(ctx, si, wo, active)[1]
 
     def eval_pdf(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: Array, active: Array = True
     ) -> tuple[Any, Any]:
-        """Results of :meth:`eval` and :meth:`pdf`, which share most of their computation."""
+        """Return the results of :meth:`eval` and :meth:`pdf`, which share most of their computation."""
         return self._lobes(ctx, si, active).eval_pdf(wo)
 
     def sample(
@@ -139,7 +139,7 @@ class CookTorrance(mi.BSDF):
         sample2: Array,
         active: Array = True,
     ) -> tuple[Any, Any, Any, Any]:
-        """Results of :meth:`eval_pdf` and :meth:`sample`, with a single evaluation of the textures."""
+        """Return the results of :meth:`eval_pdf` and :meth:`sample`, evaluating the textures only once."""
         lobes = self._lobes(ctx, si, active)
         return (*lobes.eval_pdf(wo), *lobes.sample(sample1, sample2))
 
@@ -162,7 +162,7 @@ class CookTorrance(mi.BSDF):
 
 
 class Lobes:
-    """Diffuse and specular lobe of D, S and R for a direction ``wi`` to the viewer.
+    """The diffuse and specular lobes of the BSDF for given D, S, R and a direction ``wi`` to the viewer.
 
     Directions are in a local frame whose z axis is the normal. Terms independent of ``wo`` are computed once.
     """
@@ -184,7 +184,7 @@ class Lobes:
         self.alpha = beckmann.alpha_from_roughness(roughness)
         self.diffuse = (1.0 - specular_albedo) * diffuse_albedo
         if is_two_sided:
-            self.side = dr.mulsign(mi.Float(1.0), wi.z)  # from below, both directions are mirrored
+            self.side = dr.mulsign(mi.Float(1.0), wi.z)  # -1 on the back, where wi and wo are mirrored
             self.wi = mi.Vector3f(wi.x, wi.y, dr.abs(wi.z))
         else:
             self.side = mi.Float(1.0)
@@ -194,7 +194,7 @@ class Lobes:
         self.masking = beckmann.smith_g1_over_cos(self.wi, self.alpha)
 
     def _specular_probability(self) -> Array:
-        """Probability of sampling the specular lobe: its share of the reflected energy, at least a tenth."""
+        """Return the probability of sampling the specular lobe: its share of the energy, at least a tenth."""
         if not self.has_diffuse:
             return mi.Float(1.0)
         if not self.has_specular:
@@ -206,24 +206,24 @@ class Lobes:
         diffuse_energy = dr.sum(diffuse)
         total = specular_energy + diffuse_energy
         share = specular_energy / dr.select(total > 0.0, total, 1.0)
-        # CUDA's division is approximate: a share above 1 would make densities negative, and one below 1 add
-        # a diffuse lobe to a surface without one.
+        # CUDA's division is approximate: a share above 1 would make densities negative, and a share below 1
+        # would sample the diffuse lobe of a surface that has none.
         share = dr.select((diffuse_energy == 0.0) & (total > 0.0), 1.0, dr.minimum(share, 1.0))
         return dr.maximum(share, MIN_LOBE_PROBABILITY)
 
     def eval_pdf(self, wo: Array) -> tuple[Any, Any]:
-        """Value f cos_o and density [1/sr] at ``wo``."""
+        """Return the value f cos_o (Color3f) and the density [1/sr] at ``wo``."""
         wo = mi.Vector3f(wo.x, wo.y, wo.z * self.side)
         active = self.active & (wo.z > 0.0)
         value, pdf = mi.Color3f(0.0), mi.Float(0.0)
         if self.has_specular:
             half = self.wi + wo
             # Without cancellation: wi.h = |wi + wo| / 2 for unit vectors, and 1 - wi.h = sin^2 / (1 + wi.h)
-            # with sin = |wi - wo| / 2.
+            # with sin = |wi - wo| / 2, the sine of the angle between wi and h.
             cos_half = 0.5 * dr.sqrt(dr.maximum(dr.squared_norm(half), 1e-30))
             one_minus_cos = 0.25 * dr.squared_norm(self.wi - wo) / (1.0 + cos_half)
             fresnel = self.specular + (1.0 - self.specular) * _fifth_power(dr.minimum(one_minus_cos, 1.0))
-            # D_b G1(wi) / (4 cos_i): density of wo for visible normals h, and a factor of the lobe
+            # D_b G1(wi) / (4 cos_i) is the density of wo for visible normals h, and a factor of the lobe.
             visible = 0.25 * beckmann.beckmann_d(half, self.alpha) * self.masking
             value += fresnel * (visible * beckmann.smith_g1(wo, self.alpha))
             pdf += self.specular_probability * visible
@@ -233,7 +233,7 @@ class Lobes:
         return dr.select(active, value, 0.0), dr.select(active, pdf, 0.0)
 
     def sample(self, sample1: Array, sample2: Array) -> tuple[Any, Any]:
-        """BSDFSample3f and the weight f cos_o / pdf."""
+        """Sample a direction as :meth:`CookTorrance.sample` does; return a BSDFSample3f and its weight."""
         use_specular = sample1 < self.specular_probability
         normal = beckmann.sample_visible_normal(self.wi, self.alpha, sample2)
         reflected = 2.0 * dr.dot(self.wi, normal) * normal - self.wi

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Ground-truth buffers: material channels, geometry and ids at the first hit.
 
-Two kinds of buffer, computed in one kernel with one thread per pixel:
+Two kinds of buffer are computed in one kernel with one thread per pixel:
 
 * *blended*: diffuse_albedo, specular_albedo, roughness, normal_world and surface_mask are averaged over
   ``spp`` sub-pixel samples with the film's reconstruction filter, as the beauty image is. The average is over
@@ -10,8 +10,8 @@ Two kinds of buffer, computed in one kernel with one thread per pixel:
 * *at the centre*: depth_z_m, position_world, instance_id and material_id are those of one ray through the
   centres of pixel and lens, because means of depths or of ids would be meaningless.
 
-Samples are drawn from the filter's normalised absolute value by its inverse distribution function, with its
-sign as weight. No pixel writes to another, so all filters cost the same and need no atomics. Emitters and the
+Sub-pixel offsets are importance-sampled: in proportion to the absolute value of the filter, whose sign is the
+weight. No thread writes to another pixel, so all filters cost the same and need no atomics. Emitters and the
 background are masked: surface_mask 0, ids 0, channels 0. Emitters keep their depth, because they occlude.
 Axis order of arrays: (H, W, C), row 0 at the top.
 """
@@ -33,16 +33,16 @@ from mitsuba_plugins.surface_material import IdTable, SceneMaterials
 Array = Any
 
 MAX_LAYERS = 32
-"""Maximum number of surfaces along a ray; 32 of opacity 0.2 transmit 0.08 %."""
+"""Maximum number of surfaces along a ray; 32 surfaces of opacity 0.2 transmit 0.08 %."""
 MIN_THROUGHPUT = 1e-3
 """Transmittance below which rays end, since the remainder is negligible."""
 SOLID_OPACITY = 0.5
-"""Minimum opacity of the surface that determines a pixel's depth and ids."""
+"""Minimum opacity of a solid surface, the first of which determines a pixel's depth and ids."""
 MIN_COVERAGE = 1e-6
-"""Coverage up to which a pixel is masked, since averages over so little surface are noise."""
-# Fractions of 2^32, independent over the rationals, so that their multiples fill five dimensions evenly: 1/g
-# and 1/g^2 with g^3 = g + 1 for the pixel (the R2 sequence of M. Roberts), sqrt(2) and sqrt(3) for the lens,
-# sqrt(5) for time (their fractional parts).
+"""Coverage by reflecting surface up to which a pixel is masked, since so small a sample is only noise."""
+# Generators of a lattice in five dimensions, as fractions of 2^32: 1/g and 1/g^2 with g^3 = g + 1 for the
+# pixel (the R2 sequence of M. Roberts), and the fractional parts of sqrt(2) and sqrt(3) for the lens and of
+# sqrt(5) for time. They are independent over the rationals, so multiples fill all dimensions evenly.
 _PIXEL_X, _PIXEL_Y, _LENS_X, _LENS_Y, _TIME = 3242174889, 2447445413, 1779033703, 3144134277, 1013904243
 CHANNELS = {name: BUFFERS[name].channels for name in GROUND_TRUTH_BUFFERS} | {
     "position_world": ("X", "Y", "Z")
@@ -54,8 +54,8 @@ CHANNELS = {name: BUFFERS[name].channels for name in GROUND_TRUTH_BUFFERS} | {
 class PixelFilter:
     """Samples sub-pixel offsets along one axis in proportion to a film's reconstruction filter.
 
-    Films ignore samples beyond their border unless ``sample_border`` is set; the filter of a pixel near the
-    border is cut off there, and variates are mapped to the remaining part.
+    Films ignore samples beyond their border unless ``sample_border`` is set. The filter of a pixel near the
+    border is therefore truncated there, and variates are mapped to the remaining part.
     """
 
     TABLE_SIZE = 4096
@@ -79,14 +79,14 @@ class PixelFilter:
         self._quantiles = mi.Float(quantiles.astype(np.float32))
 
     def _look_up(self, table: Array, position: Array) -> Array:
-        """Interpolate ``table`` linearly at a position, which is clamped to [0, TABLE_SIZE]."""
+        """Interpolate ``table`` linearly at ``position``, an index that is clamped to [0, TABLE_SIZE]."""
         position = dr.clip(position, 0.0, float(self.TABLE_SIZE))
         cell = cell_of(position, self.TABLE_SIZE)
         low, high = dr.gather(mi.Float, table, cell), dr.gather(mi.Float, table, cell + 1)
         return dr.lerp(low, high, position - mi.Float(cell))
 
     def variates_inside(self, pixel: Array, size: int) -> tuple[Any, Any]:
-        """Smallest and largest variate that places samples of column or row ``pixel`` in [0, ``size``]."""
+        """Return the range of variates that place samples of column or row ``pixel`` inside [0, ``size``]."""
         if not self.is_cut_off:
             return mi.Float(0.0), mi.Float(1.0)
         scale = self.TABLE_SIZE / (2.0 * self._radius)
@@ -95,7 +95,7 @@ class PixelFilter:
         return first, last
 
     def sample(self, u: Array) -> tuple[Any, Any]:
-        """Offset from the pixel's centre [px] and weight (1 or -1) for a variate in [0, 1]."""
+        """Return the offset from the pixel's centre [px] and the weight (1 or -1) of a variate in [0, 1]."""
         if self.is_box:
             return u - 0.5, mi.Float(1.0)
         offset = self._look_up(self._quantiles, u * self.TABLE_SIZE)
@@ -116,7 +116,7 @@ class _View:
     height: int
 
     def ray(self, x: Array, y: Array, time: Array, lens: Array) -> Any:
-        """Camera ray through position (x, y) of the (cropped) film [px]; ``time`` and ``lens`` in [0, 1]."""
+        """Return the ray through (x, y) on the (cropped) film [px]; ``time`` and ``lens`` are in [0, 1]."""
         position = mi.Point2f(x / self.width, y / self.height)
         shutter = self.sensor.shutter_open() + time * self.sensor.shutter_open_time()
         ray, _ = self.sensor.sample_ray(shutter, mi.Float(0.5), position, lens)
@@ -124,7 +124,7 @@ class _View:
 
 
 def _lattice_point(index: Array, shift: Array, generator: int) -> Array:
-    """Coordinate, in [0, 1), of point ``index`` of a shifted lattice."""
+    """Return one coordinate, in [0, 1), of point ``index`` of a rank-1 lattice with random ``shift``."""
     bits = index * mi.UInt32(generator) + shift
     return mi.Float(bits >> 8) * (1.0 / (1 << 24))
 
@@ -143,7 +143,7 @@ class _RayResult:
 
     @property
     def state(self) -> tuple[Any, ...]:
-        """The fields in order, as state of a symbolic loop."""
+        """The fields in order, as the state of a symbolic loop."""
         return tuple(vars(self).values())
 
 
@@ -153,7 +153,7 @@ def _empty_result(num_rays: int) -> _RayResult:
 
 
 def _trace_surface(view: _View, ray: Any, active: Array) -> tuple[Any, Any, _RayResult]:
-    """Next interaction of a ray, whether the ray may pass through it, and its result (coverage = opacity)."""
+    """Return a ray's next interaction, whether the ray passes it, and its result with coverage = opacity."""
     # Camera rays are coherent, which makes Embree's packets three times as fast.
     si = view.scene.ray_intersect(ray, mi.RayFlags.All, coherent=True, active=active)
     is_hit = active & si.is_valid()
@@ -176,7 +176,7 @@ def _trace_surface(view: _View, ray: Any, active: Array) -> tuple[Any, Any, _Ray
 
 def _trace(view: _View, ray: Any) -> _RayResult:
     """Trace a camera ray from front to back through partly transparent surfaces to the first opaque one."""
-    if not (view.materials.has_transparency or view.hide_emitters):  # rays pass through no surface
+    if not (view.materials.has_transparency or view.hide_emitters):  # every ray ends at its first hit
         return _trace_surface(view, ray, mi.Bool(True))[2]
 
     def cond(active: Any, *_: Any) -> Any:
@@ -201,12 +201,12 @@ def _trace(view: _View, ray: Any) -> _RayResult:
 
 
 def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[_RayResult, Any]:
-    """Filter-weighted sums over each pixel's samples, point and shape at its centre, and sums of weights.
+    """Return filter-weighted sums over each pixel's samples (point and shape: of its centre) and of weights.
 
     Sample 0 is the centre, so the scene's intersection code is compiled once, in a single symbolic loop.
     """
     pixel: Any = mi.UInt32(y) * view.width + mi.UInt32(x)
-    # opaque: one compiled kernel serves all seeds
+    # opaque, so that one compiled kernel serves all seeds
     key: Any = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
     shift_x, shift_y = mi.sample_tea_32(pixel, key)
     lens_x, lens_y = mi.sample_tea_32(pixel, key ^ 0x9E3779B9)
@@ -245,7 +245,7 @@ def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[
 
 
 def _render(view: _View, spp: int, seed: int) -> dict[str, Any]:
-    """Buffers by name, as unevaluated Dr.Jit arrays of H x W entries."""
+    """Return the buffers by name, as unevaluated Dr.Jit arrays of H x W entries."""
     if spp < 1:
         raise input_error("material_buffers", "spp", spp, "at least 1 sample per pixel", "use 16 or more")
     index = dr.arange(mi.UInt32, view.width * view.height)
@@ -288,8 +288,8 @@ def render_material_buffers(
 
     They are float32 except for ``instance_id`` and ``material_id`` (uint32). The result also contains
     ``position_world`` [m], the point whose depth is ``depth_z_m`` [m]. ``ids`` maps shape ids to (instance
-    id, material id), or is a :class:`SceneMaterials`, which views can share; None numbers the shapes.
-    ``hide_emitters`` must equal that of the beauty integrator. Raises :class:`InputError` if ``spp`` is
+    id, material id), or is a :class:`SceneMaterials` shared by several views; None: shapes are numbered.
+    ``hide_emitters`` must have the value of the beauty integrator's. Raises :class:`InputError` if ``spp`` is
     below 1, a shape's material has no D, S and R, or a shape is missing from ``ids``.
     """
     chosen: Any = scene.sensors()[sensor] if isinstance(sensor, int) else sensor

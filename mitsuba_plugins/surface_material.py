@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Lookup of the material channels and ids of a scene's shapes in kernels, for ground-truth passes.
+"""Lookup of the material channels and ids of a scene's shapes in kernels.
 
 A shape's material may be nested in wrappers (``mask``, ``normalmap``, ``twosided``), none of which forwards
-attributes in Mitsuba. The tree of wrappers is therefore traversed once per scene and converted to a Python
-function per material; Dr.Jit compiles these into one indirect call, :func:`drjit.switch`.
+attributes in Mitsuba. The tree of wrappers is therefore converted once per scene to a Python function per
+material; Dr.Jit compiles these into one indirect call, :func:`drjit.switch`.
 
 Shapes are identified by their index in Mitsuba's registry, the value of a ``ShapePtr`` in a kernel. The index
-changes from process to process; the tables here map it to the caller's numbers.
+changes from process to process; the tables here map it to the caller's ids.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ class SurfaceChannels:
     opacity: Array
 
     def diffuse_reflectance(self) -> Array:
-        """Reflectance (Color3f) of the diffuse lobe in uniform light, reduced below mapped horizons."""
+        """Return the diffuse reflectance (Color3f) in light that is uniform above the unmapped surface."""
         above = 0.5 + 0.5 * dr.abs(self.normal_local.z)
         return (1.0 - self.specular_albedo) * self.diffuse_albedo * above
 
     def fresnel(self, wi: Array) -> Array:
-        """Schlick's Fresnel reflectance (Color3f) for the local direction ``wi`` to the viewer."""
+        """Return Schlick's Fresnel reflectance (Color3f) for the local direction ``wi`` to the viewer."""
         grazing = 1.0 - dr.minimum(dr.abs(dr.dot(self.normal_local, wi)), 1.0)
         return dr.lerp(self.specular_albedo, 1.0, dr.square(dr.square(grazing)) * grazing)
 
@@ -57,9 +57,9 @@ class SurfaceChannels:
 class SurfaceLobes:
     """BSDF of the ``channels`` at hits ``si``, without their opacity.
 
-    Kernels evaluate it once for all materials, where ``si.bsdf()`` would be an indirect call of a function
-    for each. Directions are in the frame of ``si``. Like Mitsuba's ``normalmap``, mapped normals
-    (``has_mapped_normals``) reflect no light through the unmapped surface, and shadow light near its horizon
+    It is compiled once for all materials, whereas ``si.bsdf()`` would be an indirect call with a function
+    for each. Directions are in the frame of ``si``. With ``has_mapped_normals``, as in Mitsuba's
+    ``normalmap``, no light is reflected through the unmapped surface, and light near its horizon is shadowed
     (Conty Estevez et al., A Microfacet-Based Shadowing Function to Solve the Bump Terminator Problem, 2019).
     """
 
@@ -75,7 +75,7 @@ class SurfaceLobes:
         self._lobes = Lobes(self.frame.to_local(si.wi), *parameters, active)
 
     def eval_pdf(self, wo: Array) -> tuple[Any, Any]:
-        """Value f cos_o (Color3f) and density [1/sr] at ``wo``."""
+        """Return the value f cos_o (Color3f) and the density [1/sr] at ``wo``."""
         if self.frame is None:
             return self._lobes.eval_pdf(wo)
         local = self.frame.to_local(wo)
@@ -84,7 +84,10 @@ class SurfaceLobes:
         return dr.select(is_reflected, value * self._shadow(wo), 0.0), dr.select(is_reflected, pdf, 0.0)
 
     def sample(self, sample1: Array, sample2: Array) -> tuple[Any, Any, Any]:
-        """Direction ``wo``, its density [1/sr] and the weight f cos_o / pdf (Color3f); 0 for none."""
+        """Sample a direction ``wo``; return it, its density [1/sr] and the weight f cos_o / pdf (Color3f).
+
+        Density or weight is 0 where no light is reflected.
+        """
         bs, weight = self._lobes.sample(sample1, sample2)
         if self.frame is None:
             return bs.wo, bs.pdf, weight
@@ -94,7 +97,7 @@ class SurfaceLobes:
         return wo, dr.select(is_reflected, bs.pdf, 0.0), shadowed
 
     def _is_reflected(self, wo: Array, mapped: Array) -> Array:
-        """Whether ``wo``, ``mapped`` in the frame of the mapped normal, is on the viewer's side of both."""
+        """Return whether ``wo`` (``mapped`` in the mapped normal's frame) is on the viewer's side of both."""
         return dr.mulsign(wo.z, self.frame.n.z) * mapped.z > 0.0
 
     def _shadow(self, wo: Array) -> Array:
@@ -154,14 +157,14 @@ def _two_sided(front: Evaluator, back: Evaluator, si: Any, active: Any) -> Chann
 
 
 class UnsupportedBsdf(Exception):
-    """Raised for a BSDF other than ``cook_torrance``, alone or in supported wrappers."""
+    """Exception for a BSDF other than ``cook_torrance``, alone or in supported wrappers."""
 
 
 def build_evaluator(bsdf: Any) -> tuple[Evaluator, bool]:
     """Convert a tree of BSDFs to an evaluator of its channels; also return whether it can be transparent.
 
-    Raises :class:`UnsupportedBsdf` with the class name if the tree contains anything but
-    ``cook_torrance`` in ``mask``, ``normalmap`` and ``twosided``.
+    Raises :class:`UnsupportedBsdf` with the class name if the tree contains anything but ``cook_torrance``,
+    alone or in ``mask``, ``normalmap`` and ``twosided``.
     """
     if isinstance(bsdf, CookTorrance):
         return partial(_cook_torrance, bsdf), False
@@ -192,17 +195,17 @@ def _has_normal_map(bsdf: Any) -> bool:
 
 
 def _nothing(si: Any, active: Any) -> Channels:
-    """Channels of a masked surface: an emitter, or the background."""
+    """Return the channels of emitters and of the background, which have no ground truth."""
     return mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0), mi.Normal3f(0.0, 0.0, 1.0), mi.Float(1.0)
 
 
 def invisible(si: Any, active: Any) -> Channels:
-    """D, S, R, normal and opacity of the ``null`` BSDF, which rays pass through: all 0 but the normal."""
+    """Return D, S, R, normal and opacity of the ``null`` BSDF, which rays pass: all 0 but the normal."""
     return mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0), mi.Normal3f(0.0, 0.0, 1.0), mi.Float(0.0)
 
 
 def number_shapes(scene: mi.Scene) -> dict[str, tuple[int, int]]:
-    """Id table of a scene's shapes, except lights, and their BSDFs, numbered from 1 in the scene's order.
+    """Return an id table that numbers a scene's shapes, except lights, and their BSDFs from 1, in order.
 
     Keys are shape ids; equal ids, as in scenes read from XML, become ``id``, ``id#2``, ``id#3``...
     """
@@ -219,7 +222,7 @@ def number_shapes(scene: mi.Scene) -> dict[str, tuple[int, int]]:
 
 
 def registry_indices(scene: mi.Scene) -> NDArray[np.int64]:
-    """Index (N,) in Mitsuba's registry of each of a scene's N shapes, in the scene's order."""
+    """Return the indices (N,) of a scene's N shapes in Mitsuba's registry, in the scene's order."""
     pointers: Any = scene.shapes_dr()
     return np.asarray(dr.reinterpret_array(mi.UInt32, pointers)).astype(np.int64)
 
@@ -234,7 +237,7 @@ def _unique_names(shapes: Sequence[Any]) -> list[str]:
 
 
 class SceneMaterials:
-    """The materials and ids of every shape of a scene, ready to be evaluated inside a kernel.
+    """The materials and ids of all shapes of a scene, for evaluation in kernels.
 
     ``ids`` maps shape ids to (instance id, material id), both in [1, 2^24); None numbers them in the scene's
     order. Raises :class:`InputError` that lists every shape whose BSDF is not supported, that is missing from
@@ -247,8 +250,8 @@ class SceneMaterials:
         self._evaluators: list[Evaluator] = [_nothing]
         self.has_transparency = False
         self.has_mapped_normals = False
-        # By id(bsdf): index of the evaluator, whether it needs UVs, and the BSDF; Python wrappers of C++
-        # objects are created on each access, and id() is valid only while they exist
+        # By id(bsdf): index of the evaluator, whether it needs UVs, and the BSDF, which keeps the Python
+        # wrapper of the C++ object alive: id() identifies it only while it exists.
         self._materials: dict[int, tuple[int, bool, Any]] = {}
         shapes: Sequence[Any] = scene.shapes()
         registry = registry_indices(scene)
@@ -283,7 +286,7 @@ class SceneMaterials:
         return instance, material
 
     def _evaluator_index(self, shape: Any, name: str, problems: Problems) -> int:
-        """Index of the shape's material among the evaluators; 0 if a problem was added."""
+        """Return the index of the shape's material among the evaluators; 0 if a problem was added."""
         if shape.class_name() == "Instance":
             problems.add(f"shape {name}", "an instance", "a shape with its own material", "expand instances")
             return 0
@@ -316,29 +319,29 @@ class SceneMaterials:
     # ---- inside kernels ----------------------------------------------------------------------------------
 
     def tables(self) -> list[Any]:
-        """Arrays that a recorded kernel reads in :meth:`channels_at`, in addition to those of the scene."""
+        """Return the arrays that kernels read in :meth:`channels_at` in addition to those of the scene."""
         return [self._evaluator_of_shape]
 
     def _registry_index(self, si: mi.SurfaceInteraction3f) -> Array:
         return dr.reinterpret_array(mi.UInt32, si.shape)
 
     def shape_index(self, si: mi.SurfaceInteraction3f) -> Array:
-        """Registry index of the shape that was hit; 0 for none."""
+        """Return the registry index of the shape that was hit; 0 for none."""
         return self._registry_index(si)
 
     def is_emitter(self, si: mi.SurfaceInteraction3f, active: Array) -> Array:
-        """Mask of the hits ``si`` on lights."""
+        """Return the mask of the hits ``si`` that are on lights."""
         return dr.gather(mi.Bool, self._is_emitter_shape, self._registry_index(si), active)
 
     def ids_at(self, shape_index: Array) -> tuple[Any, Any]:
-        """(instance id, material id) of shapes by registry index; 0 for none and for lights."""
+        """Return (instance id, material id) of shapes by registry index; 0 for none and for lights."""
         return (
             dr.gather(mi.UInt32, self._instance_of_shape, shape_index),
             dr.gather(mi.UInt32, self._material_of_shape, shape_index),
         )
 
     def channels_at(self, si: mi.SurfaceInteraction3f, active: Array) -> SurfaceChannels:
-        """Channels at the hit ``si``; 0 where inactive, and on lights except for opacity 1."""
+        """Return the channels at the hits ``si``; 0 where inactive; on lights, 0 except for opacity 1."""
         return self._evaluated(self._evaluator_of_shape, si, active)
 
     def _evaluated(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Checks of material parameters at the creation of a material: range, NaN, and whether textures need UVs.
+"""Checks of material parameters when a material is created: range, NaN, and whether textures need UVs.
 
-A NaN would spread through path sums and denoisers to whole tiles of an image; it is rejected here, where file
-and texel are known.
+A NaN would spread through sums over paths and the denoiser to whole tiles of an image; it is rejected here,
+where file and texel can be named.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from datagen.foundation.errors import Problem, Problems, raise_problems
 
 TOLERANCE = 1e-4
-"""Distance from [0, 1] up to which values are accepted and clamped, as errors of rounding or resampling."""
+"""Accepted excess of values over [0, 1], due to rounding or resampling; such values are clamped."""
 UV_TEXTURES = ("BitmapTexture", "Checkerboard")
 """Prefixes of the class names of textures that depend on UVs."""
 
@@ -41,27 +41,27 @@ class _Collector(mi.TraversalCallback):
 
 
 def exposed(obj: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Child objects and values of a Mitsuba object, by name, as exposed to ``mi.traverse``; not recursive."""
+    """Return a Mitsuba object's children and values by name, as exposed to ``mi.traverse``; not recursive."""
     collector = _Collector(obj)
     obj.traverse(collector)
     return collector.objects, collector.values
 
 
 def needs_uv(obj: Any) -> bool:
-    """Whether a BSDF or texture, or anything nested in it, uses UVs."""
+    """Return whether a BSDF or texture, or anything nested in it, uses UVs."""
     if obj.class_name().startswith(UV_TEXTURES):
         return True
     return any(needs_uv(child) for child in exposed(obj)[0].values())
 
 
 def _file_of(texture: Any) -> str:
-    """The suffix " in FILE" for a texture that was read from a file, else ""."""
+    """Return the suffix " in FILE" for a texture that was read from a file, else ""."""
     found = re.search(r'^  name = "(.+)",$', str(texture), re.MULTILINE)
     return f" in {found.group(1)}" if found else ""
 
 
 def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
-    """Faults of a material's parameter ``name``: values of ``texture`` that are NaN, Inf or not in [0, 1]."""
+    """List faults of a material's parameter ``name``: values of ``texture`` that are NaN or not in [0, 1]."""
     problems = Problems(material)
     file = _file_of(texture)
     objects, values = exposed(texture)
@@ -88,8 +88,8 @@ def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
     return problems
 
 
-# Problems collected within gathering_problems(), else None. Mitsuba creates plugins on several threads;
-# extending a list is atomic.
+# Problems collected within gathering_problems(), else None. No lock, although Mitsuba creates plugins on
+# several threads, since extending a list is atomic.
 _gathered: list[Problem] | None = None
 
 
@@ -108,7 +108,7 @@ def check_parameter(material: str, name: str, texture: Any) -> None:
 
 @contextmanager
 def gathering_problems() -> Iterator[None]:
-    """Raise the faults of all parameters checked in this context as one :class:`InputError` at its end."""
+    """Context manager that raises the faults of all parameters checked in it as one :class:`InputError`."""
     global _gathered
     problems: list[Problem] = []
     _gathered = problems

@@ -51,7 +51,7 @@ class LlvmLibrary:
 
 
 def find_llvm_libraries() -> list[LlvmLibrary]:
-    """Shared LLVM libraries in the usual folders of all platforms, newest first."""
+    """List the shared LLVM libraries in the usual folders of all platforms, newest first."""
     found: dict[Path, LlvmLibrary] = {}
     folders = [Path(f) for f in SEARCH_FOLDERS] + sorted(Path("/usr/lib").glob("llvm-*/lib"))
     for folder in folders:
@@ -67,7 +67,7 @@ def find_llvm_libraries() -> list[LlvmLibrary]:
 
 
 def llvm_major(path: Path) -> int | None:
-    """Major version that the library reports, or None if it cannot be loaded or is older than LLVM 16."""
+    """Return the major version of a library, or None if it cannot be loaded or is older than LLVM 16."""
     try:
         library = ctypes.CDLL(str(path))
         get_version = library.LLVMGetVersion  # since LLVM 16
@@ -79,7 +79,7 @@ def llvm_major(path: Path) -> int | None:
 
 
 def choose_llvm() -> LlvmLibrary:
-    """LLVM library for Mitsuba: that of ``DRJIT_LIBLLVM_PATH`` if set, else the newest one found.
+    """Return the LLVM library for Mitsuba: ``DRJIT_LIBLLVM_PATH`` if set, else the newest one found.
 
     Raises :class:`InputError` if it is missing or older than LLVM 19.
     """
@@ -100,7 +100,7 @@ def choose_llvm() -> LlvmLibrary:
 
 
 def has_cuda() -> bool:
-    """Whether the NVIDIA driver reports a GPU, without importing mitsuba."""
+    """Return whether the NVIDIA driver reports a GPU, without importing mitsuba."""
     if shutil.which("nvidia-smi") is None and not Path("/dev/nvidia0").exists():
         return False
     try:
@@ -112,7 +112,7 @@ def has_cuda() -> bool:
 
 
 def resolve_variant(name: str | None = None) -> str:
-    """Name of the variant that :func:`select_variant` would choose if none is active.
+    """Return the variant that :func:`select_variant` would choose if none is active.
 
     Does not import mitsuba. Raises :class:`InputError` for an unsupported name.
     """

@@ -77,7 +77,7 @@ class TracedGeometry:
         self._emits = geometry.emitter_mask()
 
     def trace_view(self, camera: Camera, valid_mask: NDArray[np.bool_] | None = None) -> ViewGeometry:
-        """Trace rays through the pixel centres of ``camera``; pixels not in ``valid_mask`` (H, W) are misses."""
+        """Trace the pixel centres of ``camera``; pixels outside ``valid_mask`` (H, W) count as misses."""
         import drjit as dr
         import mitsuba as mi
 

@@ -60,7 +60,7 @@ class Mesh:
         return Mesh(positions.astype(np.float32), self.faces, normals, self.uv)
 
     def placed(self, target_from_source: NDArray[np.float64]) -> Mesh:
-        """Return the transformed mesh; under a mirroring transform, the winding is reversed to keep fronts."""
+        """Return the transformed mesh; mirroring also reverses the winding, so front faces stay front."""
         mesh = self.transformed(target_from_source)
         if np.linalg.det(target_from_source[:3, :3]) < 0:
             return replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, [0, 2, 1]]))
