@@ -37,7 +37,7 @@ MAX_LAYERS = 32
 MIN_THROUGHPUT = 1e-3
 """Transmittance below which rays end, since the remainder is negligible."""
 SOLID_OPACITY = 0.5
-"""Minimum opacity of a solid surface, the first of which determines a pixel's depth and ids."""
+"""Minimum opacity of a solid surface; the first solid surface determines a pixel's depth and ids."""
 MIN_COVERAGE = 1e-6
 """Coverage by reflecting surface up to which a pixel is masked, since so small a sample is only noise."""
 # Generators of a lattice in five dimensions, as fractions of 2^32: 1/g and 1/g^2 with g^3 = g + 1 for the
@@ -153,7 +153,7 @@ def _empty_result(num_rays: int) -> _RayResult:
 
 
 def _trace_surface(view: _View, ray: Any, active: Array) -> tuple[Any, Any, _RayResult]:
-    """Return a ray's next interaction, whether the ray passes it, and its result with coverage = opacity."""
+    """Return a ray's next hit, whether the ray may continue, and the hit's channels (coverage: opacity)."""
     # Camera rays are coherent, which makes Embree's packets three times as fast.
     si = view.scene.ray_intersect(ray, mi.RayFlags.All, coherent=True, active=active)
     is_hit = active & si.is_valid()

@@ -84,10 +84,7 @@ class SurfaceLobes:
         return dr.select(is_reflected, value * self._shadow(wo), 0.0), dr.select(is_reflected, pdf, 0.0)
 
     def sample(self, sample1: Array, sample2: Array) -> tuple[Any, Any, Any]:
-        """Sample a direction ``wo``; return it, its density [1/sr] and the weight f cos_o / pdf (Color3f).
-
-        Density or weight is 0 where no light is reflected.
-        """
+        """Sample a direction; return it, its density [1/sr] and the weight f cos_o / pdf (0: no sample)."""
         bs, weight = self._lobes.sample(sample1, sample2)
         if self.frame is None:
             return bs.wo, bs.pdf, weight
@@ -97,7 +94,7 @@ class SurfaceLobes:
         return wo, dr.select(is_reflected, bs.pdf, 0.0), shadowed
 
     def _is_reflected(self, wo: Array, mapped: Array) -> Array:
-        """Return whether ``wo`` (``mapped`` in the mapped normal's frame) is on the viewer's side of both."""
+        """Return whether ``wo`` (``mapped`` in the mapped frame) is on the viewer's side of both horizons."""
         return dr.mulsign(wo.z, self.frame.n.z) * mapped.z > 0.0
 
     def _shadow(self, wo: Array) -> Array:
@@ -200,7 +197,7 @@ def _nothing(si: Any, active: Any) -> Channels:
 
 
 def invisible(si: Any, active: Any) -> Channels:
-    """Return D, S, R, normal and opacity of the ``null`` BSDF, which rays pass: all 0 but the normal."""
+    """Return D, S, R, normal and opacity of the invisible BSDF ``null``: all 0 but the normal."""
     return mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0), mi.Normal3f(0.0, 0.0, 1.0), mi.Float(0.0)
 
 

@@ -44,7 +44,7 @@ def pose_and_scale(placed: PlacedAsset) -> tuple[NDArray[np.float64], tuple[floa
 class BopFiles:
     """Writer of one BOP scene per room; :meth:`finish` writes the numbered models of all objects.
 
-    Raises :class:`InputError` without a library.
+    Raises :class:`InputError` if the export has no library, whose meshes it needs.
     """
 
     def __init__(self, export: Export):

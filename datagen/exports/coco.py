@@ -2,7 +2,7 @@
 """Writes boxes and masks in COCO's layout: ``images/<split>/*.png``, ``annotations/instances_<split>.json``.
 
 Masks are in COCO's compressed run-length encoding: lengths of column-major runs, background first; from the
-fourth run on, the difference to the length two runs earlier; each number in groups of five bits.
+fourth run on, minus the length two runs before; written in groups of five bits.
 """
 
 from __future__ import annotations

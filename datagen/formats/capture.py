@@ -106,10 +106,10 @@ class ImageSource(Protocol):
     """Reader of the image and stored maps of one view."""
 
     def read(self, camera: Camera) -> ColorImage:
-        """The undistorted image of ``camera``. Raises :class:`InputError` if it cannot be read."""
+        """Read the undistorted image of ``camera``. Raises :class:`InputError` if it cannot be read."""
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
-        """Stored ground truth (H, W, C) by buffer name; empty for photographs."""
+        """Read stored ground truth, (H, W, C) by buffer name; empty for photographs."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class CaptureGeometry:
 class Capture:
     """A photographed or rendered room: views and geometry.
 
-    ``lights`` are known for rendered captures only; ``notes``: sentences about assumptions made on reading;
+    ``lights`` are known for rendered captures only; ``notes``: assumptions made by the reader, as sentences;
     ``mesh_up`` is the axis of the mesh file that was assumed to be up.
     """
 

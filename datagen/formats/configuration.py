@@ -99,7 +99,7 @@ class ViewCamera(PinholeFields):
 METAL_SPECULAR, GLOSSY_ROUGHNESS = 0.3, 0.3
 """S (largest channel) above which a surface pixel counts as metal, and R below which it counts as glossy."""
 MIN_METAL_SHARE, MIN_GLOSS_SHARE = 0.06, 0.15
-"""Minimum shares of metal and of glossy surface pixels, as required for training."""
+"""Minimum shares of metal and of glossy surface pixels in a dataset for training."""
 
 
 class ViewCoverage(StrictModel):
@@ -151,7 +151,7 @@ class Configuration(StrictModel):
 def configuration_of(package: Package, seed: int = 0) -> Configuration:
     """Return a configuration of a single environment with its own materials, lights and cameras.
 
-    Cameras are named ``view_000``, ``view_001``... Raises :class:`InputError` for other assets or no cameras.
+    Cameras are named ``view_000``, ``view_001``... Raises :class:`InputError` for an asset without cameras.
     """
     asset = package.asset
     if not isinstance(asset, EnvironmentAsset) or not asset.cameras:

@@ -86,11 +86,11 @@ class Package:
         return self.asset
 
     def names(self) -> tuple[str, ...]:
-        """Names of the files that ``asset.json`` refers to, sorted."""
+        """Return the names of the files to which ``asset.json`` refers, sorted."""
         return tuple(sorted({name for _, name in referenced_files(self.asset)}))
 
     def local_file(self, name: str) -> Path:
-        """Return the path on disk of a file; :meth:`close` removes the file if it is unpacked from a zip.
+        """Return the path on disk of a file, if necessary unpacked from the zip until :meth:`close`.
 
         Raises :class:`InputError` if the zip's member cannot be read.
         """
@@ -112,7 +112,7 @@ class Package:
         return target
 
     def read_bytes(self, name: str) -> bytes:
-        """Content of a file of the package. Raises :class:`InputError` if it cannot be read."""
+        """Read a file of the package. Raises :class:`InputError` if it cannot be read."""
         try:
             if self._archive is None:
                 return (self.path / name).read_bytes()

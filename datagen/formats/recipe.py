@@ -67,7 +67,7 @@ class EnvironmentRecipe(AssetFilter):
 
     @property
     def needs_library(self) -> bool:
-        """Whether configurations can use library environments."""
+        """True if configurations can use environments of the library."""
         return self.parametric is None or self.parametric.share < 1
 
 
@@ -139,15 +139,15 @@ class PanoramaWeights(StrictModel):
         return self
 
     def wanted(self) -> dict[Daytime, float]:
-        """The positive weights, by time of day."""
+        """Return the positive weights by time of day."""
         return {time: getattr(self, time) for time in DAYTIMES if getattr(self, time) > 0}
 
 
 class LightRecipe(StrictModel):
-    """Lights of configurations. Each kind is drawn with its own probability; at least one light is on.
+    """Lights of configurations. Each kind is used with its own probability; at least one light is on.
 
-    If a kind is drawn, at least one light of it is placed, if possible: a drawn ``count_area`` or
-    ``count_point`` of 0 counts as 1. ``native``: lights of the assets themselves.
+    ``native``: lights of the assets themselves. If area or point lights are used, at least one is placed, if
+    possible: a drawn ``count_area`` or ``count_point`` of 0 counts as 1.
 
     With ``panoramas``, every room with openings and without a sky has a panorama outside, regardless
     of ``daylight_probability``; generated rooms then have no modelled surroundings.
@@ -168,15 +168,15 @@ class LightRecipe(StrictModel):
 
 
 class CameraRecipe(StrictModel):
-    """Positions of cameras and the conditions on their views.
+    """Positions of cameras and the conditions that their views must meet.
 
     Heights are above the floor of the camera region. ``fov_x_deg`` is the horizontal field of view.
     ``min_distance_m``: no surface may be nearer in more than 2 % of the image; ``max_near_share``: maximum
     share of the image nearer than twice this distance. ``min_content``: minimum number of distinct visible
     instances. ``min_overlap``: minimum share of a view's points that are visible in another view too.
-    ``min_luminance``: minimum luminance of a view relative to the median of all candidates.
+    ``min_luminance``: minimum luminance of a view relative to the median of all candidate views.
 
-    ``subject``: with ``things``, cameras aim at objects at any height, also from above at floors and tables;
+    ``subject``: with ``things``, cameras aim at objects at any height, and at floors and tables from above;
     with ``room``, cameras look across the room, nearly level, and overlapping views are preferred.
     """
 

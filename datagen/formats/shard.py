@@ -137,7 +137,7 @@ class ShardReader:
             raise InputError(Problem(self.path, "", str(error), "an intact tar file", _REMEDY)) from None
 
     def configuration(self) -> Configuration:
-        """The shard's configuration. Raises :class:`InputError` if it is missing or damaged."""
+        """Read the shard's configuration. Raises :class:`InputError` if it is missing or damaged."""
         for name, data in self.members():
             if name in CONFIGURATION_MEMBERS:
                 return parse_member(Configuration, data, f"{self.path}:{name}")
@@ -183,7 +183,7 @@ class Dataset:
         self.index = read_json(DatasetIndex, inside(self.folder, self.folder / INDEX_FILE))
 
     def shard_paths(self, split: Split | None = None) -> list[Path]:
-        """Paths of the shards of ``split`` (None = all), in the index's order.
+        """Return the paths of the shards of ``split`` (None = all), in the index's order.
 
         Raises :class:`InputError` for a path that leads out of the folder.
         """

@@ -15,7 +15,7 @@ from datagen.foundation.images import normalized
 
 
 def texture_values(texture: Texture, pixels: NDArray[Any], is_scalar: bool) -> NDArray[np.float32]:
-    """Material values of a texture: decoded, scaled, offset and clamped to [0, 1].
+    """Convert the pixels of a texture to material values: decoded, scaled, offset and clamped to [0, 1].
 
     ``pixels``: (H, W, C) from :func:`datagen.foundation.images.read_image`. Returns (H, W) if ``is_scalar``
     (the luminance of ``rgb``, as in Mitsuba), else (H, W, 3). Raises :class:`InputError` if the image lacks

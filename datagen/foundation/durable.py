@@ -53,7 +53,7 @@ def make_folder(folder: Path) -> None:
 
 
 def publish(partial: Path, target: Path) -> None:
-    """Sync a file or folder, rename it to ``target``, replacing an existing file, and sync its name."""
+    """Sync a file or folder, rename it to ``target`` (replacing a file), and sync the directory entry."""
     if partial.is_dir():
         sync_tree(partial)
     else:

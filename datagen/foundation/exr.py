@@ -80,8 +80,7 @@ def encode_channels(
 def check_claim(size_px: tuple[int, int], pixel_bytes: int, num_bytes: int, where: Path | str) -> None:
     """Raise :class:`InputError` unless a file of ``num_bytes`` can contain an image of ``size_px``.
 
-    ``size_px``: (width, height) in the header, checked before allocation; ``pixel_bytes``: decoded bytes
-    per pixel.
+    ``size_px``: (width, height), checked before allocation; ``pixel_bytes``: decoded bytes per pixel.
     """
     width, height = size_px
     if width * height * pixel_bytes > _CLAIM_FREE_BYTES + _MAX_COMPRESSION * num_bytes:

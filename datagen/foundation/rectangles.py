@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 def rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[tuple[int, int, int, int]]:
-    """Yield up to ``count`` disjoint all-True rectangles (x0, x1, y0, y1) of a mask, the largest first."""
+    """Yield up to ``count`` disjoint rectangles ``mask[x0:x1, y0:y1]`` without False, the largest first."""
     mask = mask.copy()
     for _ in range(count):
         x0, x1, y0, y1 = largest_rectangle(mask, min_side)
@@ -21,9 +21,10 @@ def rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[t
 
 
 def largest_rectangle(mask: NDArray[np.bool_], min_side: int = 1) -> tuple[int, int, int, int]:
-    """Return the largest all-True rectangle (x0, x1, y0, y1) with sides of at least ``min_side``, or zeros.
+    """Return (x0, x1, y0, y1) of the largest rectangle ``mask[x0:x1, y0:y1]`` without False; zeros if none.
 
-    Found row by row as the largest rectangle in the histogram of the heights of True columns.
+    Its sides are at least ``min_side``. It is found row by row, as the largest rectangle in the histogram of
+    the heights of the columns of True that end in the row.
     """
     best, result = 0, (0, 0, 0, 0)
     heights = np.zeros(mask.shape[1] + 1, dtype=np.int64)  # the last stays 0, which ends every open rectangle

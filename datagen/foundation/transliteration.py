@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Transliteration to ASCII for ids and file names: Küche becomes Kueche, Öl-Eiche Oel-Eiche.
 
-German umlauts become two letters, other accents are removed. Tables contain Greek, Cyrillic and the Latin
-letters that have no decomposition into base letter and accent (ø, ł, ß). Letters of other alphabets become
-their code points, so that distinct names stay distinct.
+German umlauts become two letters; other accents are removed. Tables map Greek, Cyrillic and those Latin
+letters that cannot be decomposed into a base letter and an accent (ø, ł, ß). Letters of other alphabets
+become their code points, so that distinct names stay distinct.
 """
 
 from __future__ import annotations

@@ -7,16 +7,16 @@ from importlib.metadata import PackageNotFoundError, version
 
 DISTRIBUTION = "scene-materials"
 RESULT_REVISION = 18
-"""Increased whenever a change of the code changes the bytes of a dataset but not its configurations."""
+"""Incremented whenever a change of the code changes the bytes of a dataset but not its configurations."""
 LIGHT_REVISION = 6
-"""Increased whenever a change of the code changes only the buffers of ``statistics: {light: true}``."""
+"""Incremented whenever a change of the code changes only the buffers of ``statistics: {light: true}``."""
 PLAN_REVISION = 2
-"""Increased whenever a change of the code changes the configurations or generated rooms of a recipe."""
+"""Incremented whenever a change of the code changes the configurations or generated rooms of a recipe."""
 _PACKAGES = ("mitsuba", "drjit", "numpy", "OpenEXR", "pyoidn")
 
 
 def pixel_versions(*, has_light: bool = False) -> dict[str, str]:
-    """Return the versions, by name, of the software that affects views (``has_light``: and light buffers)."""
+    """Return versions, by name, of the software that affects views and, if ``has_light``, light buffers."""
     found = {"result_revision": str(RESULT_REVISION), "plan_revision": str(PLAN_REVISION)}
     if has_light:
         found["light_revision"] = str(LIGHT_REVISION)

@@ -327,7 +327,7 @@ class _Parser:
         return [self.numbers(node, name, attributes.get(a, str(default)), (1,))[0] for a in "xyz"]
 
     def transform(self, element: ElementTree.Element, node: SceneNode) -> NDArray[np.float64]:
-        """(4, 4) matrix of a ``<transform>``, whose operations apply in the order of the file."""
+        """Return the (4, 4) matrix of a ``<transform>``, whose operations apply in the order of the file."""
         matrix = np.eye(4)
         for child in element:
             attributes = {k: self.substitute(v, node) for k, v in child.attrib.items()}
@@ -370,7 +370,7 @@ def _rotation(axis: list[float], angle_rad: float) -> NDArray[np.float64]:
 
 
 def _look_at(origin: NDArray[Any], target: NDArray[Any], up: NDArray[Any]) -> NDArray[np.float64]:
-    """(4, 4) matrix of Mitsuba's ``lookat``: z towards the target, x = up x z (to the left), y up."""
+    """Return the (4, 4) matrix of Mitsuba's ``lookat``: z towards the target, x = up x z (left), y up."""
     forward = unit_vector(target - origin)
     left = unit_vector(np.cross(up, forward))
     return affine(np.stack([left, np.cross(forward, left), forward], axis=1), origin)

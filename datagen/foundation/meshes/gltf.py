@@ -217,7 +217,7 @@ class GltfFile:
         return data[start : start + int(entry["byteLength"])]
 
     def count(self, index: object, user: str) -> int:
-        """Return the stated length of accessor ``index``. Raises :class:`InputError` if implausible."""
+        """Return the declared length of accessor ``index``. Raises :class:`InputError` if implausible."""
         count = self.item("accessors", index, user).get("count")
         if not isinstance(count, int) or not 0 <= count <= 3 * self.budget.allowed("triangles"):
             expected = f"0 to {3 * self.budget.allowed('triangles')}"
