@@ -123,10 +123,10 @@ def open_rooms(dataset: Path, split: Split | None, only: Sequence[str]) -> list[
 
 
 def claim_folder(out: Path, format_name: str, dataset: Path, command: dict[str, Any]) -> None:
-    """Create the folder ``out`` with a marker file; an earlier export with the same options is overwritten.
+    """Create the folder ``out`` with a marker file; an earlier export of the same rooms may be overwritten.
 
-    ``command``: options recorded in the marker. Raises :class:`InputError` for a folder with other contents,
-    such as an export of another split, since each export numbers categories and models anew.
+    ``command``: selection of rooms, stored in the marker. Raises :class:`InputError` for a folder with other
+    contents, such as an export of another split, since each export numbers categories and models anew.
     """
     marker, name = out / MARKER, dataset.resolve().name
     note = {"format": "scene-materials/export", "layout": format_name, "dataset": name, **command}

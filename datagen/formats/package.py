@@ -90,7 +90,7 @@ class Package:
         return tuple(sorted({name for _, name in referenced_files(self.asset)}))
 
     def local_file(self, name: str) -> Path:
-        """Return the path on disk of a file, if necessary unpacked from the zip until :meth:`close`.
+        """Return the path on disk of a file; a file unpacked from a zip exists until :meth:`close`.
 
         Raises :class:`InputError` if the zip's member cannot be read.
         """
