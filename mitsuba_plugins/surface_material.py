@@ -94,7 +94,10 @@ class SurfaceLobes:
         return wo, dr.select(is_reflected, bs.pdf, 0.0), shadowed
 
     def _is_reflected(self, wo: Array, mapped: Array) -> Array:
-        """Return whether ``wo`` (``mapped`` in the mapped frame) is on the viewer's side of both horizons."""
+        """Return whether ``wo`` is on the viewer's side of the unmapped surface and of the mapped one.
+
+        ``mapped`` is ``wo`` in the frame of the mapped normal.
+        """
         return dr.mulsign(wo.z, self.frame.n.z) * mapped.z > 0.0
 
     def _shadow(self, wo: Array) -> Array:

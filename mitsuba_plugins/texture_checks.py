@@ -18,7 +18,7 @@ import numpy as np
 from datagen.foundation.errors import Problem, Problems, raise_problems
 
 TOLERANCE = 1e-4
-"""Accepted excess of values over [0, 1], due to rounding or resampling; such values are clamped."""
+"""Maximum distance of values from [0, 1] that counts as an error of rounding or resampling and is clamped."""
 UV_TEXTURES = ("BitmapTexture", "Checkerboard")
 """Prefixes of the class names of textures that depend on UVs."""
 

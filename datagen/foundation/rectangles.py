@@ -23,8 +23,7 @@ def rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[t
 def largest_rectangle(mask: NDArray[np.bool_], min_side: int = 1) -> tuple[int, int, int, int]:
     """Return (x0, x1, y0, y1) of the largest rectangle ``mask[x0:x1, y0:y1]`` without False; zeros if none.
 
-    Its sides are at least ``min_side``. It is found row by row, as the largest rectangle in the histogram of
-    the heights of the columns of True that end in the row.
+    Sides are at least ``min_side``. The rectangle is the largest in any row's histogram of column heights.
     """
     best, result = 0, (0, 0, 0, 0)
     heights = np.zeros(mask.shape[1] + 1, dtype=np.int64)  # the last stays 0, which ends every open rectangle
