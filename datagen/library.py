@@ -232,7 +232,7 @@ def describe_library(paths: Iterable[str | Path], *, with_hash: bool = False) ->
 
 
 def check_library(paths: Iterable[str | Path], progress: Advance = no_advance) -> CheckReport:
-    """Report the faults of all packages, also of unreadable ones; ``progress(done, total)`` counts packages."""
+    """Report the faults of all packages, even unreadable ones; ``progress(done, total)`` counts packages."""
     errors: list[Problem] = []
     warnings: list[Problem] = []
     found = _packages_of(map(Path, paths), errors)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Writes boxes and masks in COCO's layout: ``images/<split>/*.png``, ``annotations/instances_<split>.json``.
 
-Masks are in COCO's compressed run-length encoding: lengths of column-major runs, background first; from the
-fourth run on, minus the length two runs before; written in groups of five bits.
+Masks are in COCO's compressed run-length encoding: lengths of column-major runs, background first, from the
+fourth on as differences from the length two runs before, each written in groups of five bits.
 """
 
 from __future__ import annotations
