@@ -21,7 +21,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def lit_sill(view: View) -> View:
-    """``view`` as a dim room with a brightly lit window sill in the top rows and metal in the bottom rows."""
+    """Return ``view`` as a dim room with a brightly lit window sill at the top and metal at the bottom."""
     height, width = view.buffers["beauty"].shape[:2]
     rows = max(1, round(0.05 * height))
     buffers = {name: array.copy() for name, array in view.buffers.items()}

@@ -47,8 +47,8 @@ def test_development_of_a_photograph() -> None:
 
 
 def test_photographs_with_their_cameras_become_a_plausible_atlas(tmp_path: Path) -> None:
-    """Over 30 % of the atlas is seen, and predictions of D have less than 0.75 times the photographs' error,
-    for eight noisy JPEGs of 96 x 64, a mesh without UVs or normals, and the bundled checkpoint."""
+    """From eight noisy 96 x 64 JPEGs, a mesh without UVs or normals and the bundled checkpoint, over 30 % of
+    the atlas is seen, and D has less than 0.75 times the mean squared error of the exposed images as D."""
     shard, _, library = make_shard(tmp_path / "rendered")
     truth = read_capture(shard)
     folder = tmp_path / "photographs"
@@ -85,8 +85,8 @@ def test_photographs_with_their_cameras_become_a_plausible_atlas(tmp_path: Path)
 @pytest.mark.skipif(shutil.which("colmap") is None, reason="needs COLMAP: apt-get install colmap")
 def test_colmap_finds_the_cameras_of_jpegs(tmp_path: Path) -> None:
     """COLMAP registers 24 small Mitsuba renderings of the study; its binary model is read and aligned.
-    Measured: all 24 cameras, median errors of 19 mm and 1.5 degrees, and -1.1 % of focal length, limited by
-    four denoised samples per pixel; a misread convention would rotate cameras by tens of degrees."""
+    Measured: all 24 cameras, with median errors of 19 mm and 1.5 degrees and a focal length 1.1 % too short,
+    limited by four samples per pixel; a misread convention would rotate cameras by tens of degrees."""
     steps = EndToEnd(tmp_path, 24, (480, 320), 0, 0, "colmap", "512")
     configuration = steps.configuration()
     assert [camera.name for camera in configuration.cameras] == [c.name for c in walk(24, (480, 320))]

@@ -34,7 +34,7 @@ def datasets(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
         "a": ("train", 2),
         "b": ("train", 2),
         "d": ("train", 2),
-    }  # "z" shifts the seeds, so "a" and "b" have other content than those above
+    }  # "z" shifts the seeds, so that "a" and "b" differ from those above
     return make_dataset(root / "good", good), make_dataset(root / "cheap", cheap)
 
 
@@ -135,8 +135,8 @@ def test_a_part_has_the_requested_shards(datasets: tuple[Path, Path], tmp_path: 
 
 
 def test_added_training_data_excludes_validation_assets() -> None:
-    """`checkpoint.yaml` and `pale.yaml` extend `learning.yaml` without the rooms, objects and materials of
-    its validation split, the only ones that `pale_validation.yaml` uses."""
+    """`checkpoint.yaml` and `pale.yaml` exclude the rooms, objects and materials of `learning.yaml`'s
+    validation split; `pale_validation.yaml` uses no others."""
     recipes = {
         name: read_yaml(Recipe, REPOSITORY / "scenes" / "recipes" / f"{name}.yaml")
         for name in ("learning", "checkpoint", "pale", "pale_validation")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The growth of memory is counted between two different configurations."""
+"""The memory benchmark measures growth after a warm-up, which must leave at least one configuration."""
 
 from __future__ import annotations
 

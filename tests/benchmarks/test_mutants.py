@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Mutants of a small module: each makes one change and is recognised after changes elsewhere."""
+"""Mutants of a small module: each is one change, with a key that is independent of changes elsewhere."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stored results of benchmarks are reused by the same options only."""
+"""Benchmarks reuse stored results only for equal options."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from datagen.library import Library
 
 
 def test_other_error_views_are_rendered_by_cycles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a stand-in for Cycles that notes the views."""
+    """A stub replaces Cycles and records the requested views."""
     rendered: list[tuple[str, ...]] = []
 
     def note(_module: str, _command: str, _blend: str, out: str, *views: str, **_: Any) -> dict[str, float]:
@@ -40,7 +40,7 @@ def test_other_error_views_are_rendered_by_cycles(tmp_path: Path, monkeypatch: p
 
 
 def test_another_number_of_configurations_is_planned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a stand-in for the planner that notes the number."""
+    """A stub replaces the planner and records the number of configurations."""
     planned: list[int] = []
 
     def plan(command: list[str], **_: Any) -> None:
@@ -55,7 +55,7 @@ def test_another_number_of_configurations_is_planned(tmp_path: Path, monkeypatch
 
 
 def test_other_cameras_are_photographed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a stand-in for the planner."""
+    """A stub replaces the planner."""
 
     def plan(*command: str, log: Path) -> None:
         folder = Path(command[-1]) / "configurations"

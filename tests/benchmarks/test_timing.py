@@ -22,9 +22,9 @@ def test_actions_alternate_and_warm_ups_are_not_counted() -> None:
 
 @pytest.fixture
 def wait(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
-    """Action that takes 3 s, 1 s of them on the processor, by the clocks of ``time``.
+    """Action that advances patched clocks: wall time by 3 s and processor time by 1 s.
 
-    Real processor time includes that of threads which other tests have left behind.
+    Real processor time would include threads that earlier tests left running.
     """
     now = {"perf_counter": 5.0, "process_time": 7.0}
     for clock in now:
