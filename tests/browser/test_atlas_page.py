@@ -132,7 +132,7 @@ CAMERA, TARGET, FOV_DEG = np.array([0.4, -1.6, 1.5]), np.array([0.1, 0.0, 0.0]),
 
 
 def pose(page: Page, light: tuple[float, float, float] = (0.3, 0.5, 1.1), **more: object) -> None:
-    """Set a fixed camera and ``light`` as the only light, with its ball hidden."""
+    """Set a fixed camera and ``light`` as the only light, and hide the ball that marks it."""
     wanted = {"camera": CAMERA.tolist(), "target": TARGET.tolist(), "fov": FOV_DEG, "light": light, "fill": 0}
     page.run("VIEW.set(arguments[0])", {**wanted, "showsLight": False, **more})
 
@@ -220,8 +220,8 @@ def test_shader_is_the_projects_bsdf(page: Page, quad: Quad, light: tuple[float,
     assert state["light"] == pytest.approx(light)
 
     def beyond(alpha_factor: float) -> float:
-        """Deviation of the screen from the oracle's bounds, in 8-bit steps. Rasterisers round corners to 1/16
-        of a pixel, so a pixel may show points up to that far from its centre."""
+        """Deviation of the screen from the oracle's bounds, in 8-bit steps. Rasterisers round vertices to
+        1/16 of a pixel, so a pixel may show points up to that far from its centre."""
         shifts = [(0.0, 0.0), *((x / 16, y / 16) for x in (-1, 1) for y in (-1, 1))]
         possible = []
         for shift in shifts:
@@ -311,7 +311,7 @@ def test_light_moves_with_keys_sliders_and_pointer(page: Page) -> None:
     ActionChains(page.driver).drag_and_drop_by_offset(canvas, 90, 0).perform()
     dragged = np.array(page.run("return VIEW.state().light"))
     assert dragged[0] > on_axis[0] + 0.05
-    assert (dragged - on_axis) @ forward == pytest.approx(0, abs=1e-6)  # in the plane of the picture
+    assert (dragged - on_axis) @ forward == pytest.approx(0, abs=1e-6)  # parallel to the image plane
     assert page.run("return VIEW.state().camera") == camera
     page.keys("2", to="#picture")  # D, without the light's ball: the pointer turns the camera
     pose(page, tuple(on_axis.tolist()), showsLight=True)
@@ -355,7 +355,7 @@ def test_camera_turns_and_moves(page: Page) -> None:
 
 
 def test_page_starts_with_the_whole_room(browser: Page, quad: Quad, tmp_path: Path) -> None:
-    """The page opens at the outermost camera, looking at the mean position; key C selects further views."""
+    """The page opens at the outermost camera, facing the cameras' centroid; key C selects further views."""
     places = [(-0.9, -0.9, 1.0), (0.5, 0.2, 1.0), (0.6, 0.4, 1.2), (0.4, 0.5, 1.0)]
     with open_package(quad.asset / "asset") as package:
         asset = package.asset
@@ -418,7 +418,7 @@ def test_large_textures_load_after_a_small_preview(browser: Page, tmp_path: Path
 
 @pytest.mark.slow
 def test_atlas_of_4096_texels_opens_quickly(tmp_path: Path) -> None:
-    """Textures of pure noise, which PNG hardly compresses, make a page larger than that of a real atlas."""
+    """Textures with noise, which PNG compresses badly, make a page larger than that of a real atlas."""
     quad = make_quad(tmp_path / "large", side=4096)
     rng = np.random.default_rng(1)
     for name, image in quad.images.items():
@@ -454,8 +454,8 @@ SHELF = 0.25 * CORNERS + [0, 0, 0.4]
 
 
 def make_room(root: Path, lights: tuple[AreaLight, ...] = (), *, has_lamp: bool = True) -> Path:
-    """Write the page of a package with a white floor of 2 m, a shelf 0.5 m wide 0.4 m above its middle, and a
-    lamp of 0.2 m at 1.9 m that emits downwards; returns its path."""
+    """Write the page of a package with a white floor of 2 x 2 m, a shelf 0.5 m wide 0.4 m above its centre,
+    and a lamp 0.2 m wide at a height of 1.9 m that emits downwards. Return the page's path."""
     up, uv = np.tile([0.0, 0, 1], (4, 1)).astype("f4"), np.zeros((4, 2), np.float32)
     shapes = {"surface": CORNERS, "shelf": SHELF, "lamp": 0.1 * CORNERS + [0, 0, 1.9]}
     down = np.ascontiguousarray(FACES[:, ::-1]).astype(np.int32)
@@ -530,7 +530,7 @@ def test_movable_light_casts_shadows(
 
 
 def test_grazing_light_causes_no_shadow_acne(browser: Page, tmp_path: Path) -> None:
-    """With the light 5 cm above the floor each shadow-map texel covers up to 20 times its width."""
+    """With the light 5 cm above the floor, shadow-map texels are stretched on it up to 20 times."""
     open_page(browser, make_room(tmp_path, has_lamp=False))
     light = (0.0, 0.0, 0.05)
     pose(browser, light, power=2, shadows=False)
@@ -604,7 +604,7 @@ def test_assets_without_lights_have_a_notice(browser: Page, tmp_path: Path) -> N
 
 
 def test_many_lights_are_merged_and_keep_their_power(tmp_path: Path) -> None:
-    """Ten windows in a row, of which the last three are 1 cm and 2 cm apart, become eight sources."""
+    """Ten windows in a row, the last three 1 cm and 2 cm apart, become eight sources."""
     places = [0.0, 1, 2, 3, 4, 5, 6, 7, 7.01, 7.03]
     lights = tuple(
         AreaLight(name=f"w-{k}", origin_m=(x, 0, 1), edge_u_m=(0.5, 0, 0), edge_v_m=(0, 0, 1),
@@ -706,7 +706,8 @@ def test_wrong_folders_and_assets_are_refused(quad: Quad, tmp_path: Path) -> Non
 
 
 def test_vendored_library_is_the_pinned_one() -> None:
-    """Lock, script and notice name the same version of three.js, which `make three` builds."""
+    """Package, lock file and script of three.js, which `make three` builds, have one version; its licence is
+    included."""
     pinned = json.loads((REPOSITORY / ".ci" / "three" / "package.json").read_text())
     version = pinned["devDependencies"]["three"]
     locked = json.loads((REPOSITORY / ".ci" / "three" / "package-lock.json").read_text())

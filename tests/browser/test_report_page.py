@@ -150,7 +150,7 @@ def test_page_opens_with_all_sections(page: Page) -> None:
 
 
 def test_rooms_come_first_and_link_to_their_views(page: Page, dataset: Path) -> None:
-    """Pictures of all configurations precede the figures; on a phone nothing is wider than the screen."""
+    """Pictures of all configurations precede the charts; on a phone nothing is wider than the screen."""
     found = page.run(
         "return [...document.querySelectorAll('#overview h2 + .rooms a:not(.sheet)')]"
         ".map((a) => [a.hash, a.querySelector('img').naturalWidth, a.innerText])"
@@ -491,7 +491,7 @@ def test_missing_parts_are_named(page: Page, report: Path) -> None:
 
 
 def synthetic_report(report: Path, out: Path, num_configurations: int, num_views: int) -> Path:
-    """Write the page with an index of many synthetic views; all thumbnails exist."""
+    """Copy ``report`` with an index of many synthetic views that share one thumbnail; return its folder."""
     shutil.copytree(report, out, ignore=shutil.ignore_patterns("tiles", "gathered"))
     picture = (report / "thumbnails" / "small-00000" / "view-000.jpg").read_bytes()
     one = out / "one.jpg"
@@ -557,8 +557,8 @@ def test_thousands_of_views_use_little_memory(report: Path, tmp_path: Path) -> N
 def test_stepping_through_large_views_leaks_no_memory(
     report: Path, tmp_path: Path, views: dict[str, View]
 ) -> None:
-    """Thirty views of 640 x 384, every buffer of each, then with a prediction: memory stays small throughout,
-    not only after garbage collection."""
+    """Memory stays small without a forced garbage collection: twenty views of 640 x 384 with every buffer,
+    then ten with a prediction."""
     out = synthetic_report(report, tmp_path / "many", 6, 5)
     rows, columns = np.indices((384, 640))
     rng = np.random.default_rng(3)

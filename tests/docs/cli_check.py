@@ -30,12 +30,12 @@ MODULES = {
     "model.schemas": schemas_of_model,
     "model.training.fetch_weights": fetch_weights,
 }
-"""Commands that are run as modules, each of one function."""
+"""Function of each command that is run by ``python -m``."""
 _STANDARD = {"venv", "pip", "http.server", "pytest", "ensurepip", "zipfile"}
 
 
 def check_command(words: list[str], is_whole: bool) -> str:
-    """Fault of a command line, or "" for none or for a command of another project.
+    """Return the fault of a command line, or "" if it has none or belongs to another project.
 
     ``is_whole`` requires all arguments; a mention in a sentence may omit them.
     """

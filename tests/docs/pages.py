@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Finds the commands of the README and the documentation, and how to test them.
+"""Finds the commands of the README and the documentation, and the notes on how to test them.
 
 A fenced block of commands or Python is preceded by an HTML comment: ``<!-- test: run -->`` runs it, ``run;
-needs rooms, photos`` runs it with these stand-ins (stand_ins.py), ``run slow`` runs it only in the long
-tests, ``not run; REASON`` excludes it, ``file NAME`` declares it a file that later blocks use, and ``patch``
-a patch to the stand-in `source`.
+needs rooms, sofa`` runs it with these stand-ins (stand_ins.py), ``run slow`` runs it only in the slow tests,
+``not run; REASON`` excludes it, ``file NAME`` writes it to a file that later blocks use, and ``patch``
+applies it to the stand-in `source`.
 
 The blocks of a page run one after another in one folder.
 """
@@ -50,7 +50,7 @@ class Block:
 
     @property
     def action(self) -> str:
-        """Action of the note: ``run``, ``run slow``, ``not run``, ``file``, ``patch`` or ""."""
+        """Action in the note: ``run``, ``run slow``, ``not run``, ``file``, ``patch`` or ""."""
         words = self.note.partition(";")[0].split()
         return words[0] if words[:1] in (["file"], ["patch"]) else " ".join(words)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Small stand-ins under the names used in the pages: recipes, library, dataset, photographs, checkpoint.
+"""Small stand-ins for the files that the pages name: recipes, library, dataset, photographs, checkpoint.
 
 Each is made once per session by the project's code and copied where needed.
 """
@@ -105,7 +105,7 @@ def _photographs(out: Path) -> None:
     from tests.model.test_reconstruction_captures import quaternion_of
 
     rooms = out.parents[1] / "rooms" / "rooms"
-    if not rooms.exists():  # as the stand-in of this name
+    if not rooms.exists():  # the stand-in `rooms`, if not yet made
         rooms.parent.mkdir()
         _rooms(rooms)
     capture = read_capture(sorted((rooms / "shards").glob("*.tar"))[0])
@@ -139,7 +139,7 @@ def _checkpoint(out: Path) -> None:
 
 
 def _room_blend(out: Path) -> None:
-    """The tagged Blender room of a documentation page."""
+    """The Blender scene that docs/tutorials/blender-scene.md makes."""
     blocks = read_page(REPOSITORY / "docs" / "tutorials" / "blender-scene.md").blocks
     script = next(block.text for block in blocks if block.note == "file make_room.py")
     # Blender takes relative paths from PWD.
