@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Use one torch thread, as tests use tiny tensors and several test processes may share the cores."""
+"""Use one torch thread, since tests use tiny tensors and several test processes may share the cores."""
 
 import torch
 

@@ -38,7 +38,7 @@ def main(source: str, out: Path, samples: int, names: list[str]) -> None:
     cycles.samples, cycles.use_adaptive_sampling, cycles.use_denoising = samples, False, False
     cycles.pixel_filter_type, cycles.filter_width = "BOX", 1.0
     cycles.sample_clamp_indirect, cycles.blur_glossy, cycles.light_sampling_threshold = 0, 0, 0
-    # paths of eight segments, as Mitsuba's max_depth = 8
+    # paths of eight segments, like Mitsuba's max_depth = 8
     cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = 6
     out.mkdir(parents=True, exist_ok=True)
     for name in names:

@@ -94,7 +94,7 @@ def _camera() -> Camera:
 
 
 def _read_all(path: Path, options: CaptureOptions | None = None) -> None:
-    """Read a capture and the pixels of its first view; all photographs must be inside of the folder."""
+    """Read a capture and the pixels of its first view; all photographs must be inside its folder."""
     capture = read_capture(path, options or CaptureOptions(max_width_px=32))
     folder = path if path.is_dir() else path.parent
     for view in capture.views:
@@ -110,7 +110,7 @@ def capture_texts(name: str) -> dict[str, str]:
 
 
 def _capture(text: Callable[[], dict[str, str]], opened: str = "") -> CaseMaker:
-    """Cases of a capture in a text format with one damaged file: a text, the photograph or the mesh."""
+    """Make a case of captures in a text format with one damaged file: a text, the photograph or the mesh."""
 
     def make(folder: Path) -> Case:
         root = folder / "capture"
@@ -363,7 +363,7 @@ def photograph(folder: Path) -> Case:
 
 
 def rendered(folder: Path) -> Case:
-    """A shard that is damaged or has mutated documents, with the library of its rendering."""
+    """A damaged shard, read as a capture with the library that it was rendered from."""
     package = write_package(folder / "library" / "room", _room(), {"room.ply": _mesh_bytes()})
     shard = _small_shard(folder, package.sha256)
 
@@ -374,7 +374,7 @@ def rendered(folder: Path) -> Case:
 
 
 def training_shard(folder: Path) -> Case:
-    """A shard read as in training: by offsets, view by view."""
+    """A damaged shard, read as in training: by offsets, view by view."""
     data = make_shard(folder, "room-00000", 1, width=SIZE[0], height=SIZE[1]).read_bytes()
     names = ("beauty", "roughness", "normal_world", "depth_z_m", "surface_mask")
 
@@ -413,7 +413,7 @@ def _small_shard(folder: Path, package_sha256: str) -> bytes:
 
 
 def _damaged_shard(shard: bytes, rng: random.Random) -> bytes:
-    """The shard damaged anywhere, in a member's header, or in a number or name of a document."""
+    """The shard damaged anywhere, within one tar block, or in digits of its documents."""
     if rng.random() < 0.3:
         return damage(shard, rng)
     if rng.random() < 0.4:

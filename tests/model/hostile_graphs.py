@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Untrusted sizes and graphs for the readers of captures; tests/datagen has those for importers."""
+"""Captures with hostile sizes and node graphs, to attack readers; tests/datagen has files for importers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _BLACK = encode_png(np.zeros((8, 12, 3), np.uint8))
 
 
 def _capture(files: Callable[[random.Random, int], Files], opened: str = "") -> CaseMaker:
-    """Cases of a capture with a random number of frames."""
+    """Make a case of captures with a random number of frames."""
 
     def make(folder: Path) -> Case:
         scale, root = Scale(), folder / "capture"

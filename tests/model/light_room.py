@@ -23,7 +23,7 @@ SIDES = np.array([4.0, 3.0, 2.5])
 LAMP = (14.0, 13.0, 10.0)
 SKY = (1.5, 2.5, 5.0)
 SUN_DIRECTION, SUN_IRRADIANCE = (0.8, 0.0, 0.6), (60.0, 50.0, 35.0)
-"""Direction to the sun, which shines through the window on the floor, and irradiance of a facing surface."""
+"""Direction to the sun, which shines through the window on the floor, and irradiance at normal incidence."""
 SIZE = (80, 60)
 Color = tuple[float, float, float]
 
@@ -96,13 +96,13 @@ def room_cameras(num: int = 24) -> list[Camera]:
 
 @lru_cache(maxsize=1)
 def photographed_room() -> tuple[TracedView, ...]:
-    """Path-traced HDR views of the room, with 256 samples at pixel centres."""
+    """Path-traced HDR views of the room, with 256 samples per pixel, all at its centre."""
     return once("light-room", lambda: _photographs(256))
 
 
 @lru_cache(maxsize=1)
 def sunlit_room() -> tuple[TracedView, ...]:
-    """:func:`photographed_room` with the light of a sun added, which the sky's panel would block."""
+    """:func:`photographed_room` plus sunlight, rendered without the sky's panel, which would block it."""
     sun = once("light-room-sun", lambda: _photographs(512, is_sunlit=True))
     views = zip(photographed_room(), sun, strict=True)
     return tuple(replace(view, color=view.color + sunlit.color) for view, sunlit in views)
@@ -123,7 +123,7 @@ def _photographs(samples: int, *, is_sunlit: bool = False) -> tuple[TracedView, 
             "irradiance": {"type": "rgb", "value": list(SUN_IRRADIANCE)},
         }
     else:
-        scene["sky"] = {  # fills the window; sampled as a panel it has little noise
+        scene["sky"] = {  # a panel that fills the window has less noise than an environment
             "type": "rectangle",
             "to_world": mi.ScalarTransform4f()
             .translate([SIDES[0] + 0.02, 1.5, 1.4])
@@ -139,7 +139,7 @@ def _photographs(samples: int, *, is_sunlit: bool = False) -> tuple[TracedView, 
         normal = np.cross(to_world[:3, 0], to_world[:3, 1])
         to_world[:3, 2], to_world[:3, 3] = normal / np.linalg.norm(normal), corner.mean(axis=0)
         material = (quad.diffuse, quad.specular, quad.roughness)
-        if material not in materials:  # Dr.Jit traces each BSDF
+        if material not in materials:  # shared, since Dr.Jit traces each BSDF
             materials[material] = mi.load_dict(
                 {
                     "type": "cook_torrance",

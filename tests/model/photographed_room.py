@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Photographs of the textured room, independent of the claimed mesh and poses.
+"""Photographs of the textured room, computed by brute force from its true mesh and poses.
 
-Photographs are computed by brute force from the true room; a test may then replace mesh, poses or
-photographs.
+A test may then replace mesh, poses or photographs to inject a fault.
 """
 
 from __future__ import annotations
@@ -79,7 +78,7 @@ def with_color(capture: Capture, index: int, color: NDArray) -> Capture:
 
 
 def turned(capture: Capture, index: int, degrees: float, axis: tuple[float, float, float]) -> Capture:
-    """The capture with one camera's claimed pose rotated about a camera axis."""
+    """The capture with one camera rotated about an axis in camera space, its photograph unchanged."""
     camera = capture.views[index].camera
     pose = camera.world_from_camera.copy()
     pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(np.radians(degrees) * np.array(axis)).as_matrix()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Gains from points of given reflectance and irradiance."""
+"""Albedo gains, fitted to points of known radiance, irradiance and predicted reflectance."""
 
 from __future__ import annotations
 
@@ -41,7 +41,8 @@ def points_of(
 def fit(
     num: int = NUM, coverage: Any = 1.0, noise: float = 0.0, reflected: float = 0.4, **changes: Any
 ) -> AlbedoLevel:
-    """Fit gains to points with log-normal ``noise`` of reflectance and known share ``coverage`` of light."""
+    """Fit gains to points with log-normal ``noise`` of reflectance and the photographed share ``coverage`` of
+    their incident light."""
     which = np.arange(num) % 3
     arriving = np.resize(ARRIVING, (num, 3))
     factor = np.exp(noise * np.random.default_rng(4).normal(size=(num, 1)))
@@ -70,7 +71,7 @@ def test_gains_are_per_region_and_the_rooms_elsewhere() -> None:
 
 
 def test_points_with_little_photographed_light_count_less() -> None:
-    """Points have full weight from a photographed share of light of 0.8, half at 0.6 and none below 0.4."""
+    """A point's weight is 1 if at least 0.8 of its incident light is photographed, 0.5 at 0.6, 0 at 0.4."""
     random = np.random.default_rng(0)
     coverage = random.choice([0.3, 0.6, 0.8, 1.0], NUM)
     level = fit(coverage=coverage)
@@ -116,7 +117,7 @@ def test_spread_is_half_the_interquartile_range() -> None:
 
 
 def fit_excess(noise: float, share: float) -> AlbedoLevel:
-    """Fit gains to noisy points of which the ``share`` reflects more than its incident light."""
+    """Fit gains to noisy points, a ``share`` of which reflects more than its incident light."""
     left = leaving() * np.exp(noise * np.random.default_rng(4).normal(size=(NUM, 1)))
     left[: int(share * NUM)] = 1.2 * ARRIVING[: int(share * NUM)] / np.pi
     level = fit(radiance=left)
@@ -125,7 +126,7 @@ def fit_excess(noise: float, share: float) -> AlbedoLevel:
 
 
 def test_increases_fade_where_reflectance_exceeds_one() -> None:
-    """Unphotographed light and unknown metal only increase reflectance, so decreases are applied in full."""
+    """Unphotographed light and unknown metal only raise the measured reflectance: decreases apply in full."""
     level = fit_excess(0.1, 0.15)
     low, high = IMPOSSIBLE
     trust = (high - level.report.impossible_share) / (high - low)

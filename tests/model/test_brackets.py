@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Exposure brackets are merged to the photographed radiance."""
+"""Merging an exposure bracket recovers the photographed radiance."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ def test_a_published_checkpoint_has_half_the_size_and_no_paths(tmp_path, card):
 
 
 def test_a_published_checkpoint_keeps_values_beyond_half_floats(tmp_path, card):
-    """For example the number of batches that the norm of a custom network has seen."""
+    """An example is the batch count of a normalisation layer in a custom network."""
     network = MaterialNetwork(TINY)
     with torch.no_grad():
         network.tracks["diffuse"].enc2.shift.fill_(70000.0)

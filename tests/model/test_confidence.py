@@ -14,7 +14,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR tensor support is in 
 
 
 def _scene(size: int = 32) -> tuple[torch.Tensor, dict[str, torch.Tensor], dict[str, torch.Tensor]]:
-    """Image, true maps, and predicted maps, which are wrong at a bright highlight."""
+    """Image, true maps, and predicted maps, which are wrong at two bright highlights."""
     generator = torch.Generator().manual_seed(0)
     diffuse = torch.nn.functional.interpolate(torch.rand(1, 3, 2, 2, generator=generator), size=(size, size))
     truth = {

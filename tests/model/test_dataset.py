@@ -258,7 +258,7 @@ def test_loader_yields_the_plan_for_any_number_of_workers(shard, workers):
 
 
 def test_loader_processes_outlast_signals_to_the_whole_run(shard):
-    """After a Ctrl-C, which all processes of a terminal get, the training process still needs batches."""
+    """After a Ctrl-C, which reaches all processes of a terminal, the training process still needs batches."""
     dataset = CropDataset(index_shard(shard), CONFIG, NETWORK, seed=2)
     plan = BatchPlan(CropOrder(4, 3, 4, seed=0), 4, stop=12)
     batches = iter(make_loader(dataset, plan, workers=1))
@@ -271,7 +271,7 @@ def test_loader_processes_outlast_signals_to_the_whole_run(shard):
 
 
 def test_views_in_memory_are_decoded_once_for_all_workers(shard, monkeypatch):
-    """Batches equal those decoded from shards, and views that workers stored need no shard any more."""
+    """Batches equal those decoded from shards; views that are in memory are not decoded again."""
     places = index_shard(shard)
     plan = BatchPlan(CropOrder(4, 3, 4, seed=0), 4, stop=6)  # two epochs
     expected = list(make_loader(CropDataset(places, CONFIG, NETWORK, seed=2), plan, workers=0))

@@ -106,7 +106,7 @@ def test_vignetting_and_distortion_are_applied() -> None:
     dark = photographed(flat, CAMERA, CameraFaults(name="x", vignetting_stops=1.0))[..., 0]
     assert dark[32, 48] == pytest.approx(0.5, rel=0.01) and dark[0, 0] == pytest.approx(0.25, rel=0.05)
     stripe = np.zeros((64, 96, 3))
-    stripe[:, 80:83] = 1.0  # at x = 0.419, which k1 = -0.1 draws to 0.419 (1 - 0.1 r^2)
+    stripe[:, 80:83] = 1.0  # at x = 0.419, which k1 = -0.1 moves to 0.419 (1 - 0.1 r^2)
     bent = photographed(stripe, CAMERA, CameraFaults(name="x", distortion=-0.1))[..., 0]
     middle, edge = ((bent[row] * np.arange(96)).sum() / bent[row].sum() for row in (32, 2))
     assert middle == pytest.approx(48 + 80 * 0.419 * (1 - 0.1 * 0.419**2) - 0.5, abs=0.2)

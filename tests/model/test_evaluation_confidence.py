@@ -31,7 +31,7 @@ def wall() -> Mesh:
 
 
 def camera() -> Camera:
-    """From the origin, 3 x 2 pixels; the outer columns miss the wall."""
+    """A camera of 3 x 2 pixels at the origin that faces the wall; its outer columns miss it."""
     return Camera(3, 2, 0.9, 1.5, 1.5, 1.0, look_at([0, 0, 0], [3, 0, 0], [0, 0, 1]))
 
 
@@ -61,7 +61,7 @@ def result(calibration: dict[str, list[float]]) -> SuiteResult:
 
 
 def test_chart_shows_the_errors_of_the_quarters() -> None:
-    """Of the first panel, at x = 34 to 324; 0.005 to 1 are at y = 188 to 48."""
+    """Circles of the first panel, which spans x = 34 to 324; errors of 0.005 to 1 are at y = 188 to 48."""
     chart = standalone(confidence_svg(result({name: [0.5, 1.0, 0.1, 0.05, 0.01] for name in MATERIAL_MAPS})))
     root = ElementTree.fromstring(chart)
     circles = [(float(c.get("cx", 0)), float(c.get("cy", 0))) for c in root.findall(".//{*}circle")][1:5]

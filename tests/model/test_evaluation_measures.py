@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Measures of maps by kind of surface and by level, published measures, noise of figures, and split LPIPS."""
+"""Map errors by kind of surface and up to scale, published measures, noise of figures, and cached LPIPS."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_errors_cover_the_common_surface() -> None:
 
 
 def test_kinds_are_separated() -> None:
-    """On a wall, a chrome column and a glossy white floor errors are attributed to the kind of surface."""
+    """Errors at metal, white glossy and matt pixels are attributed to these kinds of surface."""
     truth = _maps()
     truth[S][:, :2], truth[D][:, :2] = 0.9, 0.0  # metal
     truth[D][:, 2:4], truth[R][:, 2:4] = 0.8, 0.2  # white and glossy

@@ -282,7 +282,7 @@ def test_all_faults_of_given_maps_are_reported_at_once(geometry: CaptureGeometry
 
 
 def test_a_moved_cache_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Folders are those of the new place; a method whose renderings were removed is measured again."""
+    """Results name folders in the new place; a method whose renderings were removed is measured again."""
     suite, measured = read_suite(SMALL), []
 
     def measure(*arguments: object) -> dict[str, object]:
@@ -397,7 +397,7 @@ def test_a_long_view_keeps_a_row_in_pictures() -> None:
 
 
 def test_chart_has_a_block_for_each_camera() -> None:
-    """A method has one colour whatever the camera, and the truth, without faults, is in the first block."""
+    """A method has the same colour for all cameras; the truth, which has no camera, is in the first block."""
     result = _result()
     (scene,) = result.scenes[:1]
     method = scene.methods[0]

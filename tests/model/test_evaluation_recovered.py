@@ -53,7 +53,7 @@ def lamp(slot: str, face: int, radiance: tuple[float, float, float], *, is_named
 
 @pytest.fixture
 def reconstruction(tmp_path: Path) -> Path:
-    """A package with a lamp that the geometry names, an unnamed one, and a window."""
+    """A package with a lamp that is a named part of the geometry, an unnamed lamp, and a window."""
     lamps = (
         lamp("lamp-0", 0, (2.5, 3.5, 4.5), is_named=True),
         lamp("found-0", 1, (1.0, 1.0, 1.0), is_named=False),
@@ -76,7 +76,7 @@ def opened(asset: Path, gain: float) -> Opened:
 def test_lamps_of_the_scene_light_a_reconstruction(
     reconstruction: Path, gain: float, mitsuba_variant: str
 ) -> None:
-    """Named lamps have the scene's instead of the recovered radiance, times the gain of modified light."""
+    """Named lamps have the scene's radiance, times the gain under modified light, not the recovered one."""
     sceneries = recovered_sceneries(opened(reconstruction, gain), reconstruction)  # type: ignore[arg-type]
     assert list(sceneries) == [OWN, MODIFIED, INSERTED, RECOVERED]
     off = (0.0, 0.0, 0.0)
@@ -90,8 +90,7 @@ def test_lamps_of_the_scene_light_a_reconstruction(
 
 
 def test_lights_that_the_geometry_shows_are_lamps(reconstruction: Path, mitsuba_variant: str) -> None:
-    """A light that is a lamp of the reconstruction does not shine a second time; an added one of its name,
-    which is invisible, does."""
+    """A light that is already a lamp of the reconstruction is left out, unless it is invisible."""
     panel = AreaLight(name="bulb", origin_m=(0, 0, 2), edge_u_m=(1, 0, 0), edge_v_m=(0, -1, 0), radiance=TRUE)
     hidden = panel.model_copy(update={"is_visible": False})
     scene = opened(reconstruction, 1.0)

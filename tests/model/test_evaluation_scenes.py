@@ -202,8 +202,8 @@ materials: {replace_probability: 1.0, any_class_probability: 1.0, include: [mapl
 
 
 def test_a_recipe_defines_a_scene(tmp_path: Path) -> None:
-    """The recipe determines furniture, materials and lights; the scene determines the cameras, and whether a
-    checkpoint must know none of the assets or none of the materials."""
+    """The recipe determines furniture, materials and lights; the scene determines the cameras, and whether
+    checkpoints trained on any of its assets are refused or only those trained on its materials."""
     recipe = tmp_path / "drawn.yaml"
     recipe.write_text(DRAWN)
     scene = small_scene(name="drawn", source=recipe, configuration=1, may_know_shapes=True)

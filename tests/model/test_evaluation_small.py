@@ -37,7 +37,7 @@ FEW_RAYS = partial(
     solve_rays=6,
     specular_rays=3,
 )
-"""Options of the light stage with more noise, which does not change the order of the methods."""
+"""Options of the light stage with few rays, whose noise does not change the order of the methods."""
 
 
 @pytest.fixture(scope="module")

@@ -191,7 +191,7 @@ def test_lights_are_exported_at_their_positions(tmp_path: Path) -> None:
     towards = to_world(distant.GetPrim())[:3, 2]  # it emits along -Z
     np.testing.assert_allclose(towards, Y_UP_FROM_Z_UP @ SUN.direction, atol=1e-6)
     dome = stage.GetPrimAtPath("/room/sky")
-    # a dome's texture by OpenEXR: longitude grows from +Z to +X and to the left, latitude to +Y
+    # OpenEXR's convention for a dome's texture: longitude grows from +Z to +X and leftwards, latitude to +Y
     longitude, latitude = np.pi * (1 - 2 * 20.5 / 32), np.pi * (0.5 - 4.5 / 16)
     shown = np.cos(latitude) * np.array([np.sin(longitude), 0, np.cos(longitude)])
     shown[1] = np.sin(latitude)
@@ -210,7 +210,7 @@ def radiance(prim: Any) -> NDArray[np.float64]:
 
 @needs_usd
 def test_known_lights_are_exported_where_none_were_found(tmp_path: Path) -> None:
-    """Lights of the capture replace missing ones; a point light becomes a sphere of equal intensity."""
+    """Lights of the capture replace found ones; a point light becomes a sphere of equal intensity."""
     from pxr import Usd, UsdLux
 
     known: tuple[Light, ...] = (
@@ -283,7 +283,7 @@ def test_infer_writes_it_on_demand(
 
 @needs_usd
 def test_lights_of_similar_names_are_all_exported(tmp_path: Path) -> None:
-    """Names that are equal as identifiers, or that of a surface, are numbered."""
+    """Lights whose names become equal USD identifiers, or equal that of another prim, are numbered."""
     from pxr import Usd
 
     names = ("lamp 1", "lamp-1", "surface", "materials")

@@ -42,7 +42,7 @@ SAMPLES = 64
 
 @dataclass(frozen=True)
 class Inferred:
-    """Output folder of an inference, and the inputs of its light balance."""
+    """Output folder of an inference, and the inputs of its balance, which fits gains of the lights."""
 
     out: Path
     reconstruction: Reconstruction
@@ -100,7 +100,7 @@ def test_lamp_and_window_are_found(inferred: Path) -> None:
 
 
 def gains_of(run: Inferred, factors: dict[str, Color]) -> dict[str, NDArray[np.float64]]:
-    """Applied ``factors`` times the balance's gains by slot: 1 if the errors of the lights are corrected."""
+    """Multiply the lights by ``factors``; return these times the fitted gains, by slot: 1 where corrected."""
     assert run.reconstruction.lights is not None
     wrong = replace(run.reconstruction, lights=run.reconstruction.lights.with_gains(factors))
     found = balance.balanced(wrong, run.samples)
@@ -116,7 +116,7 @@ def test_wrong_lights_are_corrected(run: Inferred) -> None:
 
 
 def test_wrong_sun_is_corrected(run: Inferred) -> None:
-    """Half of the sun's irradiance is corrected by the photographs of the sunlit room."""
+    """A sun of half the true irradiance is corrected from photographs of the sunlit room."""
     geometry = run.reconstruction.capture.geometry
     found = found_lights(sunlit().lit, TracedGeometry(geometry), geometry)
     lights = found.with_gains({"sun": (0.5, 0.5, 0.5)})
@@ -196,8 +196,8 @@ def rendered(out: Path, xml: str | None = None) -> dict[int, NDArray[np.float64]
 
 
 def apart(shown: dict[int, NDArray[np.float64]]) -> tuple[float, float]:
-    """Absolute log ratio of mean rendered to mean photographed radiance, and its median over 5 x 5-pixel
-    blocks."""
+    """Absolute log ratio of mean rendered to mean photographed radiance, and the median of this ratio over
+    blocks of 5 x 5 pixels and channels."""
     blocks, sums = [], np.zeros(2)
     for index, image in shown.items():
         pair = [np.asarray(values, np.float64) for values in (image, photographed_room()[index].color)]

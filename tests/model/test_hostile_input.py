@@ -111,7 +111,7 @@ def test_meshes_outside_are_refused_unless_allowed(tmp_path: Path, outside: Path
 
 
 def test_folders_named_in_a_document_are_not_searched(tmp_path: Path, outside: Path) -> None:
-    """OpenMVG's root_path refers to another computer; only its last name counts, relative to the file."""
+    """OpenMVG's root_path is of another computer; only its last component is used, relative to the file."""
     root = _write_form(tmp_path / "capture", "openmvg", "a.png")
     path = root / "sfm_data.json"
     for name in (str(outside), "..", "../outside", "/"):
@@ -254,7 +254,7 @@ def _calls(tree: ast.AST) -> list[tuple[str, ast.Call]]:
 
 
 def test_no_source_loads_pickles_or_unpacks_archives() -> None:
-    """Only ``model.training.weights`` unpickles: by a restricted unpickler, and a file of pinned hash."""
+    """Only ``model.training.weights`` unpickles: a file of pinned hash, with a restricted unpickler."""
     forbidden = {
         "pickle.load", "pickle.loads", "pickle.Unpickler", "marshal.loads", "marshal.load", "shelve.open",
         "yaml.load", "yaml.unsafe_load", "yaml.full_load", "eval", "exec", "joblib.load", "dill.load",

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Baked Ld (diffuse), Ls0 and Ls1 (specular) against float64 integrals, and the solve for materials."""
+"""Baked shading Ld (diffuse), Ls0 and Ls1 (specular) against float64 integrals, and the solve for materials.
+"""
 
 from __future__ import annotations
 
@@ -114,8 +115,8 @@ def test_diffuse_shading(has_sky: bool) -> None:
 
 
 def lobes(wi: NDArray, wo: NDArray, alpha: float) -> tuple[NDArray, NDArray]:
-    """The BRDF times cos_o in float64: D G / (4 cos_i) times 1 - f and times f, with f = (1 - h.i)^5, for
-    directions ``wi`` (3,) or (N, 3) and ``wo`` (N, 3)."""
+    """The specular BRDF times cos_o in float64, in two parts: D G / (4 cos_i) times 1 - f, and times f, with
+    f = (1 - h.i)^5, for directions ``wi`` (3,) or (N, 3) and ``wo`` (N, 3)."""
     from scipy.special import erf
 
     half = wi + wo
@@ -186,8 +187,8 @@ def test_rays_continue_at_metals(albedo: float, roughness: float) -> None:
 
 @pytest.mark.parametrize("roughness", [0.3, 0.6])
 def test_metal_reflects_a_lamp_without_noise(roughness: float) -> None:
-    """Below a small lamp, a point above a metal floor receives its reflection within 2 %, with 64 rays within
-    30 % (standard deviation); if only reflected rays met the lamp, it would be over 100 %."""
+    """A small lamp's reflection in a metal floor is within 2 %, and its standard deviation with 64 rays below
+    30 %; without sampling the lamp from the floor, it would be over 100 %."""
     lamp = np.array([[0.45, -0.05, 1], [0.45, 0.05, 1], [0.55, 0.05, 1], [0.55, -0.05, 1]], np.float32)
     corners = np.array([[-4, -4, 0], [4, -4, 0], [4, 4, 0], [-4, 4, 0]], np.float32)
     faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]], np.int32)
@@ -224,7 +225,7 @@ def test_metal_reflects_a_lamp_without_noise(roughness: float) -> None:
 
 
 def observations(num: int, metal: bool, seed: int) -> tuple[NDArray, ...]:
-    """Random shading in 8 views, and radiance with S 0.06 or coloured and R 0.4, as segment_costs expects."""
+    """Arguments of ``segment_costs``: random shading in 8 views, and radiance at R 0.4, S 0.06 or metal."""
     random = np.random.default_rng(seed)
     levels = len(ROUGHNESS_LEVELS)
     ls0 = random.gamma(0.6, 1.0, (num, 8, levels, 3)).astype(np.float32)
@@ -261,7 +262,7 @@ def test_known_materials_are_found(metal: bool) -> None:
 
 
 def test_white_paint_in_slightly_stronger_light_is_matte() -> None:
-    """With 10 % more light than was found, D of 0.98 does not appear to have a specular part."""
+    """A diffuse albedo of 0.98 in 10 % more light than estimated does not appear to have a specular part."""
     _, weight, diffuse, ls0, ls1 = observations(60, False, 5)
     radiance = np.broadcast_to((0.98 * 1.1 * diffuse)[:, None], (60, 8, 3)).astype(np.float32)
     costs = segment_costs(np.array([0, 60], np.int64), radiance, weight, diffuse, ls0, 0 * ls1, 0.4)
@@ -297,7 +298,7 @@ def test_metal_spreads_to_dark_segments_of_its_region(albedo: float, becomes_met
 def test_segments_of_a_region_share_their_evidence_of_metal(
     advantage: float, evidence: float, becomes_metal: bool
 ) -> None:
-    """Residuals as metal are a half on a fifth of a region; the other four fifths alone are undecided."""
+    """On a fifth of a region metal halves the residual; the other four fifths alone would be undecided."""
     levels = len(ROUGHNESS_LEVELS)
     dielectric = np.full((2, levels, len(SPECULAR_LEVELS)), 0.1, np.float32)
     metal = np.repeat(0.1 - np.float32([0.05, advantage]), levels).reshape(2, levels)
@@ -395,7 +396,7 @@ def costs_of_levels(noise: float, matte: float, best: tuple[int, int] = (2, 3)) 
 @pytest.mark.parametrize("noise", [0.005, 0.02])
 def test_gloss_is_decided_by_evidence(noise: float) -> None:
     """A segment is glossy if S lowers the cost by two fifths of the noise, matte if S raises it by as much;
-    otherwise it is both with equal weight, and R has less confidence. S of matte segments is 0 in an exact
+    in between, the two are averaged, and R has less confidence. S of matte segments is 0 in an exact
     capture, and three quarters of the network's (0.04) in an inexact one.
     """
     of_matte = 0.0 if noise < EXACT_RESIDUAL[0] else 0.03
@@ -413,8 +414,8 @@ def test_gloss_is_decided_by_evidence(noise: float) -> None:
 
 
 def test_observations_decide_between_hypotheses() -> None:
-    """The same costs are clearer evidence in more observations of an exact capture; residuals of an inexact
-    one have common causes.
+    """In an exact capture, equal costs are clearer evidence with more observations; not in an inexact one,
+    whose residuals are correlated.
     """
     exact, inexact = costs_of_levels(0.005, 0.0001), costs_of_levels(0.02, 0.0004)
     few, some, many = (decided(exact, observations=num).roughness[0] for num in (30, 3000, 300_000))
@@ -434,9 +435,8 @@ def test_equally_likely_hypotheses_are_averaged() -> None:
 
 
 def test_segments_share_the_roughness_of_their_region() -> None:
-    """A glossy and a matte dielectric of one region are blended with the region's mean by observations and
-    confidence, of which metal is no part, and of which an unexplained segment has all; a segment of another
-    region is not blended."""
+    """R of a dielectric is blended with the mean of its region's dielectrics, weighted by observations and
+    confidence; the mean's share is :data:`REGION_SHARE` at full confidence and 1 at none."""
     noise, num = 0.005, 4
     dielectric = np.stack([costs_of_levels(noise, 0.05)] * num).astype(np.float32)
     dielectric[1] = costs_of_levels(noise, -0.004)
@@ -484,7 +484,8 @@ def test_unexplained_segments_have_no_confidence() -> None:
 
 @pytest.mark.parametrize("residual", [0.02, 0.005])
 def test_roughness_between_likely_hypotheses_has_less_confidence(residual: float) -> None:
-    """Confidence of R is the inverse-variance weight of the mean over hypotheses against the network."""
+    """Confidence of R is the weight of the mean over hypotheses in an inverse-variance mean with the network.
+    """
     clear = decided(costs_of_levels(residual, residual))
     assert clear.confidence[0, 2] > 0.95
     costs = costs_of_levels(residual, residual, (1, 2))

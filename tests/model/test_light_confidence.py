@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Confidence in the light, and the use of the network's maps where it is low."""
+"""Confidence of surfels: evidence, uncertain light, impossible brightness, and bumpy normals."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_mirrors_need_no_photographed_hemisphere() -> None:
 
 
 def test_uncertain_light_counts_in_the_whole_region() -> None:
-    """Two of 100 surfels have rays that hit the small uncertain source of half of the region's light."""
+    """A small uncertain source gives half of a region's light, though only two of 100 surfels hit it."""
     doubt, region = np.zeros(200), np.repeat([0, 1], 100)
     doubt[[3, 30]] = 50 * np.mean(DOUBT)
     doubt[150] = DOUBT[1]
@@ -139,7 +139,7 @@ def test_a_bright_surface_does_not_affect_the_wall_around_it() -> None:
 
 
 def test_few_observations_count_less_than_the_room() -> None:
-    """A bright surfel of a small object counts little against the share of the room."""
+    """A region of one bright surfel is judged mainly by the room's share of bright surfels."""
     num = 20 * BLOCK_CELLS
     radiance = np.full((num, 3), 0.5)
     radiance[0] = 1.5
@@ -148,7 +148,7 @@ def test_few_observations_count_less_than_the_room() -> None:
 
 
 def test_only_bumpy_surfaces_have_a_spread_of_normals() -> None:
-    """Planes of an edge count separately; normals with errors of 0.2 rad have a spread of 0.2 to 0.3."""
+    """An edge between planes has no spread; normals with errors of 0.2 rad have a spread of 0.2 to 0.3."""
     flat = wall(np.ones((100, 3)))
     np.testing.assert_allclose(normal_spread(flat), 0, atol=1e-6)
     edge = replace(flat, normal=np.where(np.arange(100)[:, None] < 50, [0.0, 0, 1], [0.0, 1, 0]))

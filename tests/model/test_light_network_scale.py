@@ -38,7 +38,7 @@ def test_little_evidence_scales_little() -> None:
 
 
 def too_dark() -> list[dict[str, NDArray]]:
-    """A prediction whose diffuse albedo is half of that from light."""
+    """A prediction with half the diffuse albedo found from light."""
     maps = predicted(photographed_room())
     for prediction, found in zip(maps, room().maps, strict=True):
         prediction["diffuse_albedo"] = 0.5 * found["diffuse_albedo"]
@@ -51,8 +51,8 @@ def of_face(view: TracedView, name: str) -> NDArray[np.bool_]:
 
 
 def south_wall(trust: float, monkeypatch: pytest.MonkeyPatch) -> float:
-    """Median D of the south wall, which no hypothesis explains, relative to D from light, if ``trust`` is the
-    trust in light from hidden sources."""
+    """Ratio of the south wall's median D to that from light, if no hypothesis explains the wall and ``trust``
+    is the trust in its light in view of hidden sources."""
     explained, south = stage.solve_points, of_quad(room(), "south")
 
     def unexplained(lit, points, shading, segmentation, *rest):  # type: ignore[no-untyped-def]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Mean outgoing radiance of surfels under uniform light, where it is known."""
+"""Mean outgoing radiance of surfels in uniform light, for which it is known."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 NUM = 300
 DIFFUSE, SPECULAR, ROUGHNESS = 0.2, 0.04, 0.3
 CAMERA = np.array([[3.0, 0.0, 0.5]], np.float32)
-"""Sees the surfels, which lie at the origin and face upwards, at a grazing angle."""
+"""Position of a camera at a grazing angle to the surfels, which lie at the origin and face upwards."""
 
 
 @dataclass(frozen=True)
 class Lit:
-    """The fields that the function reads."""
+    """The fields that :func:`outgoing_radiance` reads."""
 
     surfels: Surfels
     baker: Baker
@@ -104,7 +104,7 @@ def test_diffuse_part_has_a_lower_bound() -> None:
 
 
 def test_field_with_other_radiance_and_background() -> None:
-    """Estimated cells keep their radiance if that of the surfels is replaced, and so does the background."""
+    """Replacing the radiance of the surfels changes neither estimated cells nor the background."""
     surfels, field = lit().surfels, lit().baker.field
     unseen = np.array([[0.0, 0.0, 0.0]]), np.array([[1.0, 0.0, 0.0]])
     extended = field.extended(*unseen, surfels, np.full((1, 3), 7.0))
@@ -121,7 +121,7 @@ def test_field_with_other_radiance_and_background() -> None:
 
 
 def test_rough_surfaces_lose_but_do_not_gain_light() -> None:
-    """A specular part that cameras do not see is added to smooth surfaces only, one that they see removed."""
+    """A specular part that photographs lack is added on smooth surfaces only; an excess is always removed."""
     found, specular = photographed(1.0)
     s = np.full((NUM, 3), SPECULAR, np.float32)
     steps = np.array([*ROUGH, 1.0], np.float32)

@@ -122,7 +122,7 @@ def test_light_of_lamp_and_sky_is_found() -> None:
 
 
 def test_uncertain_light_leaves_the_networks_materials() -> None:
-    """D is still bounded by the light that the surface reflects, at a tenth of the pixels."""
+    """D is still bounded by the light that the surface reflects, at up to a tenth of the pixels."""
     maps = predicted(photographed_room())
     found = solved(
         photographed_room(),
@@ -282,7 +282,7 @@ def test_unseen_surface_reflects_light() -> None:
 
 
 def test_albedo_is_found_with_a_third_of_the_room_unseen() -> None:
-    """The error is the unknown colour of the unseen wall, whose light is assumed to be of the room's."""
+    """The error is due to the colour of the unseen wall, which is assumed to be that of the room."""
     found = cropped_room()
     for quad in quads():
         if quad.name in ("south", "north", "ceiling", "east-low"):

@@ -67,7 +67,7 @@ LOW, HIGH = np.zeros(3), np.array([4.0, 3.0, 2.5])
 
 
 def background() -> Background:
-    """A background of which only the box's corners are used."""
+    """A background used only for the corners of its box."""
     return Background(LOW, HIGH, np.zeros((0, 3), np.float32), np.zeros(0, bool), np.zeros(0, bool))
 
 
@@ -115,7 +115,7 @@ def test_adjacent_openings_are_separate_and_dark_ones_dropped() -> None:
 
 
 def test_hole_of_the_mesh_is_no_window() -> None:
-    """The mesh lacks a dark tile and the northern 25 cm of the red wall; the window stays one."""
+    """The mesh lacks a dark tile and the northern 25 cm of the red wall: two holes beside one window."""
     whole = room_geometry()
     corners = whole.mesh.positions.reshape(-1, 4, 3).copy()
     names = [quad.name for quad in quads()]
@@ -325,7 +325,7 @@ def test_a_full_disk_leaves_no_part_of_a_texture(tmp_path: Path) -> None:
 
 
 def test_images_of_earlier_maps_that_are_not_replaced_are_removed(tmp_path: Path) -> None:
-    """The page of an asset would show an earlier confidence, or refuse its size."""
+    """Otherwise the page of an asset would show an earlier confidence, or refuse its size."""
     for has_confidence in (True, False):
         write_atlas_images(tmp_path, empty_atlas(16, has_confidence=has_confidence))
         names = {path.stem for path in tmp_path.iterdir()}
@@ -376,7 +376,7 @@ def test_sky_is_exported_with_the_same_orientation_everywhere(tmp_path: Path) ->
 
 
 def test_emissive_surface_is_exported_with_its_material(tmp_path: Path) -> None:
-    """An unnamed triangle emits on its photographed side; lamps are named by their parts, and black."""
+    """An unnamed triangle emits on its photographed side; lamps that are named parts are black."""
     capture = room_capture(2, (32, 24))
     mesh = Mesh(capture.geometry.mesh.positions, capture.geometry.mesh.faces)
     of_face = np.full(len(mesh.faces), -1, np.int32)

@@ -36,7 +36,7 @@ def degrees_off(direction: NDArray) -> float:
 
 def surfaces(reflectance: NDArray | None = None, spread: float = 0.3) -> tuple[LitSurfaces, ShadowRays]:
     """Random points of the floor (region 0) and west wall (1) of the empty room, of textured ``reflectance``
-    (2, 3), in uniform light and in that of a sun of diffuse shading (6, 5, 4) through the window."""
+    (2, 3), in uniform light plus sunlight through the window with a diffuse shading of (6, 5, 4)."""
     random = np.random.default_rng(0)
     position = random.uniform(0.05, 0.95, (12_000, 3)) * [4.0, 3.0, 2.5]
     region = np.repeat([0, 1], 6000)
@@ -64,7 +64,8 @@ def test_sun_is_found_from_textured_surfaces() -> None:
 
 
 def test_clipped_surfaces_do_not_determine_the_irradiance() -> None:
-    """It is right with a quarter of the sunlit floor clipped, and unknown with two thirds."""
+    """The irradiance is right with a quarter of the sunlit floor clipped; with two thirds there is no result.
+    """
     lit, rays = surfaces(np.array([[0.3, 0.3, 0.3], [0.5, 0.5, 0.5]]))
 
     def clipped(limit: float) -> LitSurfaces:
@@ -82,7 +83,7 @@ def test_clipped_surfaces_do_not_determine_the_irradiance() -> None:
 
 @pytest.mark.parametrize(("radius_m", "brightness"), [(0.8, 6.0), (0.3, 12.0)])
 def test_bright_spots_are_no_sun(radius_m: float, brightness: float) -> None:
-    """Neither a white rug, as large as a patch of sun, nor a small lamp, nor plain surfaces have a sun."""
+    """Neither a white rug, as large as a patch of sun, nor a small lamp, nor plain surfaces imply a sun."""
     lit, rays = surfaces()
     plain = replace(lit, radiance=np.full_like(lit.radiance, 0.15))
     assert find_sun(plain, rays) is None
@@ -106,7 +107,7 @@ def test_sun_of_photographs_is_found() -> None:
 
 
 def test_albedo_is_found_in_sun_and_shadow() -> None:
-    """D of sunlit tiles is within 8 %, as that of the others; without the sun it is over twice too high."""
+    """D of all tiles is within 8 %; without the sun, D of sunlit tiles would be over twice too high."""
     found = sunlit()
     assert wall_error(found) < 0.04
     share = found.lit.sunlight[:, 1] / found.lit.sunlight[:, 1].max()
@@ -128,7 +129,7 @@ def test_albedo_is_found_in_sun_and_shadow() -> None:
 
 
 def test_edges_of_sunlight_have_the_materials_around_them() -> None:
-    """Stripes along the edge of sunlight, as errors of cameras make them, are replaced; others are not."""
+    """Stripes at edges of sunlight, which camera errors cause, and clipped sunlit pixels are replaced."""
     found = sunlit()
     surfels = found.lit.surfels
     share = found.lit.sunlight[:, 1] / found.lit.sunlight[:, 1].max()
@@ -182,7 +183,7 @@ def test_directions_cover_the_sky_and_its_parts() -> None:
 
 
 def test_shadow_rays_share_the_disk_at_edges() -> None:
-    """The visible share of the disk increases from 0 to 1 across the penumbra of the window's edge."""
+    """The visible share of the disk falls from 1 to 0 across the penumbra of the window's edge."""
     _, rays = surfaces()
     x = 4.0 - 0.9 * 0.8 / 0.6  # the shadow of the sill ends there on the floor
     position = np.stack([np.linspace(x - 0.03, x + 0.03, 61), np.full(61, 1.5), np.zeros(61)], axis=1)

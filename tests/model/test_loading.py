@@ -69,7 +69,7 @@ def test_epochs_differ_and_persistent_processes_follow(shards) -> None:
 
 
 def test_crops_are_windows_with_their_cameras(shards) -> None:
-    """The principal point moves with the window: a position in the view follows from the intrinsics."""
+    """The principal point moves with the window, whose position thus follows from the intrinsics."""
     views = {
         (v.record.configuration, v.record.name): v for path in shards for v in ShardReader(path, ["beauty"])
     }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Holes of meshes: the cycles that count, their triangulation, and the evidence of photographs."""
+"""Holes of meshes: the boundary cycles that count, their triangulation, and evidence from photographs."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_outlines_rims_and_large_openings_are_no_holes() -> None:
 
 
 def test_a_lampshade_has_no_holes() -> None:
-    """The normals around its openings are 17 degrees off the horizontal; a far triangle makes them small."""
+    """Normals at its openings are 17 degrees off the horizontal; a far triangle enlarges the scene."""
     angle = 2 * np.pi * np.arange(24) / 24
     rings = [
         np.stack([r * np.cos(angle), r * np.sin(angle), np.full(24, z)], axis=1)
@@ -93,7 +93,7 @@ def test_holes_that_touch_are_separate() -> None:
     assert sorted(len(hole.loop) for hole in found) == [4, 4]
     both = np.zeros(len(mesh.faces), bool)
     both[np.flatnonzero(top & (cell == [1, 1]).all(axis=1))] = True
-    assert num_holes(mesh, both) == 1  # around a lamp
+    assert num_holes(mesh, both) == 1  # the other is around an ignored part
 
 
 @pytest.mark.parametrize(
@@ -184,7 +184,7 @@ def test_a_hole_is_filled_if_photographs_show_its_floor(
 
 @pytest.mark.usefixtures("mitsuba_variant")
 def test_small_holes_in_no_photograph_are_filled() -> None:
-    """One of 0.3 m is missing data; one of 0.6 m may be a window."""
+    """A hole of radius 0.1 m is missing data; one of radius 0.3 m may be a window."""
     assert [filled(holed_capture(floor, 1, radius_m))[1] for radius_m in (0.1, RADIUS_M)] == [1, 0]
 
 
@@ -201,7 +201,7 @@ def test_the_largest_holes_are_filled(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("mitsuba_variant")
 def test_only_disagreement_reveals_another_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its radiance is that of the surroundings in the median."""
+    """The median radiance in the hole is that of its surroundings."""
     capture = holed_capture(behind)
     assert filled(capture)[1] == 0
     monkeypatch.setattr(holes, "MAX_SPREAD", 10.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The specular albedo of single surfels of metal."""
+"""The specular albedo of individual surfels of a metal segment."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ TILES = np.where(np.arange(NUM) % 2, 0.8, 0.17)[:, None] * np.array([1.0, 0.9, 0
 
 
 def found(roughness: float, wrong: float = 0.0) -> NDArray[np.float32]:
-    """S (NUM, 3) found from noisy shading of :data:`TILES`, the last one painted. In the share ``wrong`` of
+    """S (NUM, 3) found from noisy shading of :data:`TILES`, the last being paint. In the share ``wrong`` of
     the observations, unphotographed light makes the lobe 9 times as bright as assumed."""
     random = np.random.default_rng(3)
     start = np.arange(NUM + 1) * VIEWS

@@ -81,7 +81,7 @@ def _gltf_image(folder: Path, name: str) -> Path:
 
 
 def _texture_folder(folder: Path, name: str) -> Path:
-    """A texture folder whose map is a link to ``name``, as texture folders name no files."""
+    """A texture folder whose map is a link to ``name``, since texture folders name no files."""
     (folder / "Oak_Roughness.png").write_bytes(_picture())
     target = folder / name if not name.startswith(("/", "file:")) else Path(name.removeprefix("file://"))
     if target.parent == folder and target.is_symlink():
@@ -96,7 +96,7 @@ def _catalogue(folder: Path, name: str) -> Path:
 
 
 def _catalogue_image(folder: Path, name: str) -> Path:
-    """A catalogue whose MTL file names an image; only its base name within the archive counts."""
+    """A catalogue whose MTL file names an image; only its base name within the archive is used."""
     model = b"mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl m\nf 1/1 2/1 3/1\n"
     members = {"a/a.obj": model, "a/a.mtl": f"newmtl m\nKd 1 1 1\nmap_Kd {name}\n".encode()}
     return furniture(folder / "a.sh3f", ["a/a.obj"], members)

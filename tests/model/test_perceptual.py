@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Perceptual distances: the published check value, E-LPIPS' transforms and dropout, and the alternative."""
+"""Perceptual distances: LPIPS' published check value, E-LPIPS' transforms and dropout, and gradient SSIM."""
 
 from __future__ import annotations
 

@@ -249,7 +249,7 @@ def test_unsupported_photographs_are_distinguished_from_missing_ones(
 
 
 def test_every_reader_names_unsupported_formats(tmp_path: Path, without_heic: None) -> None:
-    """Covers transforms.json and Bundler; RealityCapture uses the same code."""
+    """Covers transforms.json, Bundler and RealityCapture."""
     (tmp_path / "a.heic").write_bytes(b"anything")
     write_mesh(tmp_path)
     frames = [{"file_path": "a.heic", "transform_matrix": np.eye(4).tolist()}]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""`materials photos`: from a folder of photographs to an asset, with a substitute for COLMAP."""
+"""`materials photos`: from a folder of photographs to an asset, with a stub of COLMAP."""
 
 from __future__ import annotations
 
@@ -214,7 +214,7 @@ def test_photographs_of_each_size_share_a_camera(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(shutil.which("colmap") is None, reason="no COLMAP: apt-get install colmap")
 def test_colmap_finds_features_of_upright_photographs_too(tmp_path: Path) -> None:
-    """By the commands that are printed where COLMAP is missing, in a folder whose name has a space."""
+    """Run the commands that are printed where COLMAP is missing, in a folder whose name has a space."""
     images, work = tmp_path / "my room", tmp_path / "the work"
     images.mkdir()
     noise = np.random.default_rng(0).integers(0, 256, (12, 16, 3)).astype(np.uint8)

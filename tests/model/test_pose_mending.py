@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Correction of small pose errors from other views."""
+"""Correction of small pose errors by the photographs of other views."""
 
 from __future__ import annotations
 

@@ -110,7 +110,7 @@ def test_response_curve_is_inverted(curve: float) -> None:
 
 
 def sky_blocks(sources: Sources) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Sources (K,) of the window's blocks of sky, and their mean directions (K, 3)."""
+    """Indices (K,) of the sources that are blocks of sky in the window, and their mean directions (K, 3)."""
     ways = np.tile(NEAR.bin_directions(), (len(sources.of_bin) // NEAR.num_directions, 1))
     chosen = (sources.of_bin >= 0) & (ways[:, 2] > 0)
     blocks, of_bin = np.unique(sources.of_bin[chosen], return_inverse=True)
@@ -120,8 +120,8 @@ def sky_blocks(sources: Sources) -> tuple[NDArray[np.int64], NDArray[np.float64]
 
 
 def test_clipped_lamp_and_sky_are_recovered_from_lit_surfaces() -> None:
-    """The lamp is found within 12 %, a uniform sky, whose blocks light little of the room, within 16 % in the
-    mean and 44 % in each block, the light from below the horizon within 15 %.
+    """Errors are below 12 % for the lamp, 15 % for light from below the horizon, and, for a uniform sky, 16 %
+    in the mean and 44 % in each block, since a block lights little of the room.
 
     With AVX-512, the sky is within 12 and 40 %; with AVX2, it is off by 15.3 and 42 %.
     With equal weights of surfaces that reflect mostly specularly, blocks would be off by 47 %."""

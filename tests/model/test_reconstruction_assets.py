@@ -80,8 +80,8 @@ def blurred_ratio(a: NDArray, b: NDArray) -> NDArray:
 def test_blender_renders_the_package_like_mitsuba(
     asset: Path, mitsuba_image: NDArray[np.float32], cycles: Callable[[str], NDArray[np.float32]]
 ) -> None:
-    """Means of two views agree within 0.1 % at 256 samples (noise at 128: 0.3 %), and blurred pixels within 8
-    % at the 1st and 99th percentile, which is noise. One per cent of albedo is detected in the mean."""
+    """Measured: means of two views agree within 0.1 % at 256 samples (noise at 128: 0.3 %), blurred pixels
+    within 8 %, which is noise, at the 1st and 99th percentile. The mean reveals an albedo error of 1 %."""
     image = cycles(str(asset / "asset"))
     assert image.shape == mitsuba_image.shape
     np.testing.assert_allclose(image.mean(axis=(0, 1)) / mitsuba_image.mean(axis=(0, 1)), 1, atol=0.01)
@@ -96,8 +96,8 @@ def test_blender_renders_the_package_like_mitsuba(
 def test_blender_opens_the_glb(
     asset: Path, mitsuba_image: NDArray[np.float32], cycles: Callable[[str], NDArray[np.float32]]
 ) -> None:
-    """Principled reduces the diffuse part by the specular reflection, also at grazing angles, so a closed
-    room is darker: 15 % for F0 up to 0.3. Geometry, colours and textures must equal the package's."""
+    """Blender's Principled BSDF reduces the diffuse part by the specular reflection, also at grazing angles:
+    a closed room is 15 % darker for F0 up to 0.3. Geometry, colours and textures must equal the package's."""
     image = cycles(f"{asset / 'asset'}+{asset / 'room.glb'}")
     ratio = image.mean(axis=(0, 1)) / mitsuba_image.mean(axis=(0, 1))
     assert (ratio > 0.78).all() and (ratio < 0.98).all(), ratio
@@ -113,7 +113,7 @@ def test_blender_opens_the_glb(
 def test_blender_opens_the_usdz(
     asset: Path, mitsuba_image: NDArray[np.float32], cycles: Callable[[str], NDArray[np.float32]]
 ) -> None:
-    """The test of the GLB for the USDZ, which has one refractive index for all dielectrics."""
+    """Like the test of the GLB; a USDZ has one refractive index for all dielectrics."""
     image = cycles(f"{asset / 'asset'}+{asset / 'room.usdz'}")
     ratio = image.mean(axis=(0, 1)) / mitsuba_image.mean(axis=(0, 1))
     assert (ratio > 0.78).all() and (ratio < 1.02).all(), ratio

@@ -154,7 +154,7 @@ def test_colmap_faults_are_named(tmp_path: Path) -> None:
 
 
 def test_text_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
-    """As editors on Windows write it."""
+    """Editors on Windows write one."""
     write_colmap(tmp_path / "m", make_cameras(2), "text", "PINHOLE", [50, 51, 32, 20])
     for name in ("cameras.txt", "images.txt"):
         path = tmp_path / "m" / name
@@ -307,8 +307,8 @@ def test_distortion_is_undone(distortion: Distortion | None) -> None:
     image = undistorted(seen, lens, distortion, pinhole)
     x, y = np.moveaxis(pinhole.unproject(pinhole.pixel_centers(), np.ones((100, 160)))[..., :2], -1, 0)
     error = np.abs(image.color - _pattern(x, y))[image.valid_mask]
-    # Bilinear: at most h^2/8 of a second derivative of 2.7 + 1.2 at 1/140 a pixel, and remap's 1/32 pixel
-    # of 0.9/140 a pixel.
+    # Bilinear interpolation errs by at most h^2/8 times the second derivative, 2.7 + 1.2, with h = 1/140, and
+    # remap's rounding to 1/32 pixel by 1/64 pixel times a gradient of 0.9/140 per pixel in x and y.
     limit = 3.9 / 8 / 140**2 + 2 * 0.9 / 140 / 64
     assert image.valid_mask.mean() > 0.8
     assert np.quantile(error, 0.99) < limit
@@ -434,7 +434,7 @@ def test_exif_exposures_are_equalised(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("exposure_scale", [1.0, 0.5])
 def test_clipped_pixels_are_marked(tmp_path: Path, exposure_scale: float) -> None:
-    """255 in one channel clips a pixel and the reduced pixel of which it is a quarter; 245 clips neither."""
+    """A value of 255 clips its channel of the pixel, also at half resolution; 245 does not."""
     pixels = np.full((6, 8, 3), 128, np.uint8)
     pixels[2, 4, 1] = 255
     pixels[0, 0, 0] = 245
@@ -490,7 +490,7 @@ def test_photographs_of_several_shapes_may_be_rotated(tmp_path: Path) -> None:
 
 
 def test_polynomial_lens_is_undone() -> None:
-    """A lens with k4 of r^8, as in RealityCapture and Metashape, is undone to the pinhole's image."""
+    """Distortion with a term k4 r^8, as in RealityCapture and Metashape, is undone to the pinhole's image."""
     lens = Camera(160, 100, 140.0, 143.0, 79.0, 52.0, np.eye(4))
     pinhole = Camera(160, 100, 150.0, 150.0, 80.0, 50.0, np.eye(4))
     distortion = Distortion(model="polynomial", coefficients=(-0.1, 0.05, 0.003, -0.004, -0.02, 0.3))

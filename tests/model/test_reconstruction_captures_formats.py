@@ -116,7 +116,7 @@ def csv_oracle(center: np.ndarray, angles: tuple[float, float, float]) -> Oracle
 
 
 def angles_of(rotation: np.ndarray) -> tuple[float, float, float]:
-    """Angles (heading, pitch, roll) whose oracle looks along the third row of ``rotation``."""
+    """Angles (heading, pitch, roll) at which :func:`csv_oracle` looks along the third row of ``rotation``."""
     axes = rotation * np.array([[1.0], [-1.0], [-1.0]])  # rows: right, top, back
     a, b, c = Rotation.from_matrix(axes.T).as_euler("ZXY", degrees=True)
     return -a, b, c
@@ -152,7 +152,8 @@ def test_realitycapture_compass_angles(angles: tuple, forward: tuple, top: tuple
 
 @pytest.mark.parametrize("as_attributes", [False, True])
 def test_realitycapture_xmp(tmp_path: Path, as_attributes: bool) -> None:
-    """Files of both versions of the software; x = R (X - position), offsets in units of the longer side."""
+    """Values are elements or attributes, depending on the software's version; x = R (X - position), and
+    offsets are in units of the longer side."""
     write_images(tmp_path, [f"a{k}.png" for k in range(3)])
     write_mesh(tmp_path)
     oracles: dict[str, Oracle] = {}

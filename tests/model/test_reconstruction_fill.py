@@ -72,8 +72,8 @@ def test_every_texel_gets_a_value_from_its_surroundings() -> None:
 
 
 def test_unseen_triangles_resemble_their_piece() -> None:
-    """The room has the value of its only seen wall, not that of the block, which is nearer to the floor; a
-    room in no photograph has the block's."""
+    """The unseen room has the value of its only seen wall, not of the block, which is nearer to the floor;
+    with no seen wall it has the block's."""
     for seen, expected in (([10, 11, *range(12, 24)], [5]), (list(range(12, 24)), [6, 7, 8, 9, 10, 11])):
         mesh, atlas = seen_atlas(seen, [])
         fill_unseen(atlas, mesh)
@@ -114,7 +114,8 @@ def test_filled_texels_fade_from_the_border_to_the_typical_value(monkeypatch: py
 
 
 def test_typical_values_of_hardly_seen_charts_are_those_of_their_piece() -> None:
-    """Charts 0 to 2 are one piece; chart 1 is seen in a hundredth of it, and chart 3, alone, in one texel."""
+    """Charts 0 to 2 are one piece, with a hundredth of its seen texels in chart 1; charts 3 and 4 are another
+    piece, seen in one texel of chart 3."""
     charts, piece = np.array([0, 0, 0, 1, 2, 3, 4]), np.array([5, 5, 5, 5, 5, 9, 9])
     means = np.array([[0.8], [0.7], [0.1], [0.2], [0.75], [0.3], [0.0]])
     found = typical_values(charts, piece, means, np.array([600, 300, 90, 20, 990, 1, 0]))[:, 0]

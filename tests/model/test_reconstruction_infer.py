@@ -218,7 +218,7 @@ def test_normals_break_at_creases_only() -> None:
 
 
 def test_large_atlases_are_averaged_down_in_the_glb(truth: tuple[Path, InferReport], tmp_path: Path) -> None:
-    """The report contains the texture size and counts averaging as an error of the conversion."""
+    """The report contains the texture size; its conversion error does not include the averaging."""
     from PIL import Image
 
     from model.reconstruction.atlas.atlas import empty_atlas
@@ -267,7 +267,7 @@ def test_a_shard_finds_its_library(
 
 
 def test_metallic_conversion_keeps_dielectrics_and_metals() -> None:
-    """Dielectrics and metals are kept; in between the remainder is compensated as far as channels allow."""
+    """Dielectrics are kept exactly, and metals within 0.03."""
     rng = np.random.default_rng(0)
     diffuse = rng.random((50, 3)).astype(np.float32)
     specular = rng.uniform(0, 0.16, (50, 3)).astype(np.float32)
@@ -320,7 +320,8 @@ def test_assets_can_be_relit_and_get_inserted_objects(
 
 
 def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Stopped after three views, inference predicts only the rest, identically; other tasks are refused."""
+    """Stopped after four views, one then damaged, inference predicts only the rest, identically; a folder of
+    other options is refused."""
     options = InferOptions(atlas=128, precision="float32", batch=2, has_exr=False)
     whole = infer(
         rendered.small_capture(), rendered.root / "whole", CheckpointMaps(rendered.checkpoint), options

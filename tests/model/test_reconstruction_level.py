@@ -29,7 +29,7 @@ PREDICTED = 0.35
 
 
 def predicted(views: Sequence[TracedView], level: float = PREDICTED) -> list[dict[str, NDArray]]:
-    """Constant grey diffuse maps without specular part, of a wrong level."""
+    """Constant grey diffuse maps of a wrong albedo scale, without specular part."""
     shape = views[0].color.shape
     maps = {
         "diffuse_albedo": np.full(shape, level, np.float16),
@@ -52,13 +52,13 @@ def found_albedos(level: AlbedoLevel, maps_level: float = PREDICTED) -> NDArray:
 
 @pytest.fixture(scope="module")
 def level(mitsuba_variant: str) -> AlbedoLevel:
-    """Albedo level of the unchanged box."""
+    """Albedo scale of the unchanged box."""
     return level_of(photographed_box())
 
 
 def test_albedo_of_a_closed_room_is_found(level: AlbedoLevel) -> None:
-    """Interreflection with a visible lamp determines every wall and channel within 4 %, for any prediction
-    and exposure."""
+    """Interreflection with a visible lamp determines the albedo of every wall and channel within 4 %, for any
+    prediction and exposure."""
     views = photographed_box()
     assert level.report.is_applied and level.report.reason == ""
     np.testing.assert_allclose(found_albedos(level), ALBEDOS, rtol=0.04)

@@ -327,8 +327,8 @@ def test_no_seam_where_a_view_ends() -> None:
 
 
 def test_resolution_is_that_of_the_coarser_axis() -> None:
-    """Pixels per metre at image centres equal the smallest displacement in pixels of surface points that move
-    by a millimetre in any tangential direction."""
+    """Pixels per metre at image centres are 1000 times the smallest displacement (px) of a surface point that
+    moves by a millimetre in any tangential direction."""
     mesh = room_mesh()
     traced = TracedGeometry(geometry_of(mesh))
     cosines = []
@@ -461,7 +461,7 @@ def test_wrong_winding_is_recognised() -> None:
 
 
 def test_meshes_of_many_triangles_may_have_few_regions() -> None:
-    """Float32 counts regions exactly, of however many triangles."""
+    """Region numbers are float32, which is exact below 2^24, for any number of triangles."""
     views = noise_views(room_mesh(), 1)
     MapMerger(views, region_of_face=np.zeros(2**24, np.int8))
     with pytest.raises(ValueError, match="fewer regions"):

@@ -44,7 +44,7 @@ from tests.model.photographed_room import (
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 ATLAS = 96
-OPTIONS = InferOptions(atlas=ATLAS, has_exr=True, keeps_uvs=True)  # their truth is by UV
+OPTIONS = InferOptions(atlas=ATLAS, has_exr=True, keeps_uvs=True)  # the true maps are functions of UV
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -177,7 +177,7 @@ def test_a_long_name_is_shortened_in_the_id_of_the_asset(tmp_path: Path) -> None
 
 
 def test_a_mesh_in_hardly_any_pixel_is_refused_with_a_remedy() -> None:
-    """Such as one in centimetres instead of metres; the light stage needs an extended surface."""
+    """An example is a mesh in centimetres instead of metres; the light stage needs an extended surface."""
     (view,) = trace_capture(room_capture(1, (16, 12))).views
     depth = np.zeros_like(view.geometry.depth_z_m)
     depth[0, 0] = 1
@@ -226,7 +226,7 @@ def small_files(limit: int) -> Iterator[None]:
 
 
 def files_of(out: Path) -> dict[str, bytes]:
-    """Files of a run, without measured seconds."""
+    """Files of a run by relative path, without the reports, which contain measured times."""
     return {
         path.relative_to(out).as_posix(): path.read_bytes()
         for path in sorted(out.rglob("*"))
@@ -276,7 +276,7 @@ def small_capture() -> Capture:
 
 
 def test_killed_process(tmp_path: Path) -> None:
-    """After a kill at two views, the next run keeps them, makes the rest and yields the same result."""
+    """After a kill at two views, the next run keeps them, predicts the rest and yields the same result."""
     torch.manual_seed(3)
     network = NetworkConfig(base_channels=4, global_channels=8)
     card = CheckpointCard(network=network, loss="none", phase="untrained", step=0)
@@ -319,7 +319,7 @@ print(json.dumps({"triangles": len(mesh.faces), "cpu_s": time.process_time() - s
 
 
 def large_room(num_triangles: int) -> Mesh:
-    """The room with its quads as grids, with the quads' UVs."""
+    """The room with every quad divided into a grid, with interpolated UVs."""
     mesh = room_mesh()
     assert mesh.normals is not None and mesh.uv is not None
     side = int(np.sqrt(num_triangles / 24))

@@ -61,7 +61,7 @@ def test_a_stage_runs_between_prediction_and_merge(tmp_path: Path, monkeypatch: 
 
 
 def test_traced_views_and_maps_are_freed_before_the_merge(tmp_path: Path) -> None:
-    """Views and maps are released when their stage returns, although it clears no lists of other stages."""
+    """A stage's views and maps are freed when it returns, although no list of them is cleared explicitly."""
     held: dict[str, list[weakref.ref]] = {"traced": [], "maps": []}
     alive: list[str] = []
     told: set[tuple[str, int]] = set()

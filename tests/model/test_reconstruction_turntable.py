@@ -162,7 +162,8 @@ def test_a_closed_room_under_a_sky_keeps_its_lights(asset: Path, tmp_path: Path)
 
 
 def test_a_grey_sky_is_one_and_a_faulty_one_is_named(asset: Path, tmp_path: Path) -> None:
-    """The light of a grey image is compared with that of the room; messages name the given file."""
+    """An image of one channel is accepted as a sky, whose light does not reach the room; the message about an
+    invalid one names the given file."""
     sky, warnings = tmp_path / "sky.exr", list[str]()
     for value in (1.0, np.nan):
         pixels = np.full((8, 16), value, np.float32)

@@ -87,7 +87,7 @@ def test_tiny_triangles_are_unwrapped(has_room: bool) -> None:
 
 
 def test_noisy_meshes_have_few_charts() -> None:
-    """A bumpy floor, as photogrammetry gives it, is one chart but for the steepest triangles."""
+    """A bumpy floor, as from photogrammetry, is one chart except for its steepest triangles."""
     x, y = np.meshgrid(np.linspace(0, 4, 81), np.linspace(0, 4, 81))
     floor = np.stack([x, y, np.zeros_like(x)], axis=-1)
     floor += np.random.default_rng(1).normal(0, 0.01, floor.shape)
@@ -101,7 +101,7 @@ def test_noisy_meshes_have_few_charts() -> None:
 
 
 def test_a_ramp_over_itself_is_cut() -> None:
-    """A spiral ramp of three turns faces up everywhere, so its projection overlaps itself."""
+    """A spiral ramp of three turns faces up everywhere: it is one planar chart, which overlaps itself."""
     angle = np.linspace(0, 6 * np.pi, 200)
     rim = [np.column_stack([r * np.cos(angle), r * np.sin(angle), 0.1 * angle]) for r in (0.5, 1.5)]
     k = np.arange(len(angle) - 1)
@@ -115,7 +115,7 @@ def test_a_ramp_over_itself_is_cut() -> None:
 
 
 def test_broken_triangles_are_unwrapped() -> None:
-    """Triangles without area, duplicates, and edges of three triangles."""
+    """Triangles without area, duplicates, and edges shared by three triangles."""
     mesh = tiled_room()
     flat = np.repeat(mesh.faces[:5, :1], 3, axis=1)
     line = np.column_stack([mesh.faces[:5, 0], mesh.faces[:5, 1], mesh.faces[:5, 0]])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Tests of charts scaled to the pixels that show them."""
+"""Charts scaled to the density of the pixels that show them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from model.reconstruction.unwrap.uv import UvReport, own_uv_fault
 
 DENSITY = 100.0
 WHOLE_TEXELS = 5e-3
-"""Tolerance of lengths: charts are stretched to whole texels of the packing."""
+"""Relative tolerance of lengths: charts are stretched to whole texels of the packing."""
 
 
 def quads(second: tuple[float, float] = (4.0, 4.0)) -> Mesh:
@@ -28,7 +28,7 @@ def quads(second: tuple[float, float] = (4.0, 4.0)) -> Mesh:
 
 
 def seen(per_m: list[float]) -> PixelDensity:
-    """Return ten pixels on each triangle, with ``per_m`` pixels per metre by square; none where it is 0."""
+    """Return ten pixels on each triangle, with ``per_m`` pixels per metre by quad; none where it is 0."""
     face = np.repeat(np.arange(6, dtype=np.int32), 10)
     values = np.repeat(np.array(per_m), 20)
     return PixelDensity(face[values > 0], values[values > 0])
@@ -57,7 +57,7 @@ def test_charts_have_as_many_texels_as_pixels() -> None:
 
 
 def test_small_charts_keep_fine_texels() -> None:
-    """A chart of 0.5 m has the finest texels even in no photograph; its neighbours would fill coarse ones."""
+    """A chart of 0.5 m has the finest texels even if unseen; coarse ones would mostly show its neighbours."""
     mesh = quads((0.5, 0.5))
     made, report = repacked(mesh, report_of(mesh), seen([DENSITY, 0.0, 0.0]))
     np.testing.assert_allclose(
@@ -66,7 +66,7 @@ def test_small_charts_keep_fine_texels() -> None:
 
 
 def test_narrow_charts_are_a_texel_wide() -> None:
-    """Thinner ones would show their neighbours; their length has the density of the others."""
+    """Narrower charts would show their neighbours; lengthwise, a chart has the density of the others."""
     mesh = quads((4.0, 0.001))
     made, report = repacked(mesh, report_of(mesh), seen([DENSITY, DENSITY, 0.0]))
     assert made.uv is not None
@@ -89,7 +89,7 @@ def test_charts_keep_their_shape() -> None:
 
 
 def test_layouts_that_save_little_are_kept() -> None:
-    """The lawn needs the fine texels itself, or no photograph shows the mesh."""
+    """Nothing is saved if the lawn needs fine texels itself, or if no photograph shows the mesh."""
     mesh = quads()
     for density in (seen([DENSITY, DENSITY, DENSITY]), seen([0.0, 0.0, 0.0])):
         made, report = repacked(mesh, report_of(mesh), density)
@@ -98,7 +98,7 @@ def test_layouts_that_save_little_are_kept() -> None:
 
 
 def test_fine_pixels_count_but_not_the_finest() -> None:
-    """A chart has the density of the ninth of ten pixels, not that of one pixel of a near view."""
+    """A chart has the second-highest density of ten pixels, not that of a single pixel of a near view."""
     mesh = quads()
     density = seen([DENSITY, DENSITY / 4, 0.0])
     per_m = density.per_m.copy()

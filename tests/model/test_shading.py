@@ -16,7 +16,7 @@ from oracles import spherical_gaussians as oracle
 
 
 def _directions(count: int, seed: int, min_cos: float = 0.02) -> np.ndarray:
-    """Unit vectors (count, 3), float32, of the upper hemisphere with a cosine of at least ``min_cos``."""
+    """Unit vectors (count, 3) of the upper hemisphere with a cosine of at least ``min_cos``."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(min_cos, 1.0, count)
     phi = rng.uniform(0, 2 * np.pi, count)

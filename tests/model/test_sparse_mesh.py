@@ -35,8 +35,8 @@ def is_hidden(origin: NDArray, target: NDArray) -> bool:
 
 
 def room_sights(num_false: int = 0) -> Sights:
-    """Sights of a room with a block from eight cameras; points err by 3 mm, false ones are in free space and
-    seen by one camera each."""
+    """Lines of sight from eight cameras in a room with a block; points err by 3 mm, and false ones are in
+    free space and seen by one camera each."""
     rng = np.random.default_rng(2)
     points = np.concatenate(
         [points_on(np.zeros(3), ROOM, 900, rng), points_on(*BLOCK, 500, rng)]  # type: ignore[call-arg]

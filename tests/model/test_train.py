@@ -135,7 +135,7 @@ def test_phases_train_only_their_part(dataset, tmp_path):
 
 @pytest.mark.parametrize("stop_at", [1, 4, 9])
 def test_an_interrupted_run_continues_bit_for_bit(dataset, whole, tmp_path, stop_at):
-    """Stopped in any phase, also between checkpoints, the resumed run has the same bytes and log."""
+    """A run stopped in any phase, also between checkpoints, and then resumed has the same bytes and log."""
     parts = tmp_path / "parts"
     trainer = Trainer(_config(), [dataset], parts, device=CPU)
     original = trainer.step
@@ -437,7 +437,7 @@ def test_presets_are_as_documented():
 
 
 def test_overfitting_one_view_reaches_near_zero_error(tmp_path):
-    """One view, seen again and again: every map's error falls near zero, far below a constant's."""
+    """Trained on one view, every map's error falls near zero, far below that of a constant prediction."""
     folder = make_dataset(tmp_path / "set", {"room-0": ("train", 1)}, width=32, height=32)
     config = _config(
         "phases=[{name: joint, steps: 160}]",

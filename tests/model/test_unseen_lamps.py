@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Unphotographed lamps that the geometry names."""
+"""Lamps that are named parts of the geometry but in no photograph."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def test_albedo_in_the_light_of_an_unseen_lamp_is_found() -> None:
 
 
 def test_network_replaces_materials_where_estimated_light_prevails(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A lamp that provides 40 % of the light reduces no confidence; above the range, confidence is 0. Metals
-    reflect photographed light and are still found.
+    """A lamp that provides 40 % of the light reduces no confidence; above the range :data:`INFERRED_LIGHT`,
+    confidence is 0. Metals reflect photographed light and are still found.
     """
     assert room().solved.replaced.max() > 0.9 and room().solved.confidence[:, 1:].max() > 0.9
     monkeypatch.setattr(confidence, "INFERRED_LIGHT", (0.1, 0.3))
@@ -93,7 +93,7 @@ def boxes(sides: list[float]) -> Mesh:
 
 
 def kinds_of(sides: list[float], shown: dict[int, float]) -> tuple[NDArray, NDArray]:
-    """Kind and radiance of each cube; ``shown`` is the radiance of one side by photographed cube."""
+    """Kind and radiance of each cube; ``shown`` has the radiance of one side of each photographed cube."""
     mesh = boxes(sides)
     every = np.arange(len(mesh.faces), dtype=np.int32)
     region = smooth_regions(mesh)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reading untrusted weights: the restricted unpickler, hashes, shapes, heads, and clear refusals."""
+"""Reading untrusted weights: the restricted unpickler, hashes, shapes, LPIPS heads, and clear refusals."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_other_contents_are_refused(payload, tmp_path):
 
 
 def test_hostile_opcodes_are_refused():
-    """A hand-written pickle that calls ndarray with a huge shape, and truncated and random bytes."""
+    """A hand-written pickle that calls ndarray with a huge shape, and truncated and arbitrary bytes."""
     huge = b"cnumpy\nndarray\n((I1000000000000\nttR."
     for data in (huge, b"", b"\x80\x04", b"garbage", pickle.dumps({"a": np.ones(3)})[:-20]):
         with pytest.raises(InputError):

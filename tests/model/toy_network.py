@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 
 class Toy(nn.Module):
-    """Two convolutions of colours, normal and depth; a norm whose buffers are saved."""
+    """Two convolutions of colours, normal and depth, with batch normalisation, whose buffers are saved."""
 
     inputs = ("beauty", "color_median", "normal_camera", "depth")
 

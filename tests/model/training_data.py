@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A small dataset folder without rendering: smooth materials on a plane, in the project's shards."""
+"""A small dataset folder, made without rendering: shards of views of a plane with smooth materials."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Change = Callable[[dict[str, np.ndarray], dict[str, Any]], None]
 
 
 def floor_buffers(camera: Camera, seed: int) -> dict[str, np.ndarray]:
-    """Every buffer of a view of the plane z = 0, whose materials are smooth functions of the pixel."""
+    """All buffers (H, W, C) of a view of the plane z = 0, with materials that are smooth over the pixels."""
     rng = np.random.default_rng(seed)
     height, width = camera.height_px, camera.width_px
 
@@ -61,7 +61,7 @@ def floor_buffers(camera: Camera, seed: int) -> dict[str, np.ndarray]:
 
 
 def light_buffers(buffers: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Light buffers of a view of the plane."""
+    """Made-up light buffers of a view with these ``buffers``, by name."""
     mask = buffers["surface_mask"]
     return {
         "reflectance": buffers["diffuse_albedo"],
@@ -72,7 +72,7 @@ def light_buffers(buffers: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def view_record(configuration: Configuration, index: int, exr: bytes) -> dict[str, Any]:
-    """The view's JSON as a dictionary."""
+    """The JSON record of view ``index`` as a dictionary, with the hash of its file's bytes ``exr``."""
     record = ViewRecord(
         configuration=configuration.id,
         name=configuration.cameras[index].name,
@@ -154,7 +154,8 @@ def make_shard(
 def make_dataset(
     folder: Path, splits: dict[str, tuple[Split, int]], *, change: Change | None = None, **options: Any
 ) -> Path:
-    """A dataset folder with one shard for each of ``splits`` (name to split and number of views)."""
+    """Write a dataset with one shard for each of ``splits`` (name to split and number of views) and return
+    ``folder``; ``options`` are those of :func:`make_shard`."""
     folder.mkdir(parents=True, exist_ok=True)
     records = []
     for seed, (name, (split, num_views)) in enumerate(splits.items()):
