@@ -20,8 +20,8 @@ LONGEST = (
     "model/test_reconstruction_infer.py",
     "model/test_light_network_scale.py",
 )
-"""Files of over 90 s, which begin first so that no process is left alone with one at the end. Of the first
-three only one reconstructs, as processes that do so together each compile the same loops."""
+"""Files that take over 90 s, started first so that none runs alone at the end. Only one of the first three
+reconstructs, since concurrent reconstructions would each compile the same loops."""
 SHARED_DATA = Path(os.environ.get("SCENE_DATA", REPOSITORY.parent / "shared" / "data"))
 
 

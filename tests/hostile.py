@@ -76,7 +76,7 @@ PRELOADED = ("tests.datagen.hostile_cases", "tests.model.hostile_cases")
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of an attack: numbers of accepted and of refused inputs, and the child's peak memory."""
+    """Outcome of an attack: numbers of accepted and refused inputs, peak memory and CPU time of the child."""
 
     name: str
     accepted: int
@@ -243,7 +243,7 @@ _PATH_EVENTS = {
     "os.remove": (1, 1), "os.rmdir": (1, 1), "os.link": (2, 2), "os.symlink": (2, 0), "os.truncate": (1, 0),
     "os.chmod": (1, 2), "os.chown": (1, 3), "os.utime": (1, 3),
 }  # fmt: skip
-"""Audit events of files: number of leading path arguments, and index of the first folder descriptor."""
+"""Audit events of files: number of leading path arguments, and index of the first folder descriptor or 0."""
 _WATCHED = {
     *_PATH_EVENTS, "pickle.find_class", "subprocess.Popen", "os.system", "os.exec", "os.posix_spawn",
     "os.fork", "socket.connect", "socket.bind",
@@ -324,7 +324,7 @@ def attack(
     ours, theirs = context.Pipe(duplex=False)
     arguments = (module, name, folder, examples, progress, theirs)
     process = context.Process(target=_child, args=arguments, daemon=True)
-    with mock.patch.dict(os.environ, OPENBLAS_NUM_THREADS="1"):  # threads only slow down 4 x 4 matrices
+    with mock.patch.dict(os.environ, OPENBLAS_NUM_THREADS="1"):  # threads slow down 4 x 4 matrices
         process.start()  # the first child starts the fork server, whose environment all inherit
     theirs.close()
     again = f"again: python -m tests.hostile {module} {name}"

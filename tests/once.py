@@ -20,7 +20,7 @@ def keep_in(folder: Path) -> None:
 
 
 def once(name: str, make: Callable[[], _Result], folder: Path | None = None) -> _Result:
-    """Return ``make()``, called by the first process that asks for ``name``; the others wait and read a copy.
+    """Return ``make()``, called by the first process that requests ``name``; others wait and read a copy.
 
     ``folder`` defaults to that of :func:`keep_in`. Outside a test run, or without file locks (Windows), each
     process calls ``make``.

@@ -52,7 +52,7 @@ def scene(path: Path, *body: str) -> Path:
 
 
 def _diamond(folder: Path) -> Path:
-    """41 BSDFs that each refer to the next twice: 2^40 paths."""
+    """41 BSDFs, all but the last of which refer to the next twice: 2^40 paths."""
     bsdfs = ['<bsdf type="diffuse" id="b40"/>']
     bsdfs += [
         f'<bsdf type="blendbsdf" id="b{k}"><float name="weight" value="0.5"/>'
@@ -132,7 +132,7 @@ def _gltf_nodes(folder: Path) -> Path:
 
 
 def _gltf_primitives(folder: Path) -> Path:
-    """20,000 primitives of one accessor."""
+    """20,000 primitives that share one accessor."""
     return gltf(
         folder, {"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}] * 20_000}]}
     )
@@ -285,8 +285,8 @@ def run(
 
 
 def _peak_bytes(pid: int) -> int:
-    """Peak resident bytes of a process since its start, or 0 where unknown; ``wait4`` also counts the memory
-    of its parent at the fork."""
+    """Peak resident bytes of a process since its start, or 0 where unknown; ``wait4`` would include memory of
+    its parent at the fork."""
     try:
         status = Path(f"/proc/{pid}/status").read_text()
     except OSError:

@@ -36,7 +36,7 @@ class SmallDisk:
 
 @contextmanager
 def small_disk(root: Path, megabytes: int) -> Iterator[SmallDisk]:
-    """Mount a file system of this size at ``root`` within the context; skips where that is forbidden."""
+    """Mount a file system of this size at ``root`` within the context; skips the test where not permitted."""
     root.mkdir(parents=True)
     mount = ["mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "tmpfs", str(root)]
     try:

@@ -147,8 +147,8 @@ def _modules() -> frozenset[str]:
 
 @dataclass(frozen=True)
 class _Source:
-    """A parsed file; ``imports`` are absolute names of modules that it imports anywhere, except for type
-    checking; ``froms`` are lines, modules and names of absolute imports from modules; ``names`` are bound."""
+    """A parsed file. ``imports``: absolute names of modules that it imports anywhere but for type checking;
+    ``froms``: line, module and names of each absolute ``from`` import; ``names``: names that it binds."""
 
     imports: frozenset[str]
     froms: tuple[tuple[int, str, tuple[str, ...]], ...]
@@ -156,7 +156,7 @@ class _Source:
 
 
 def _statements(tree: ast.Module) -> Iterator[tuple[ast.AST, bool]]:
-    """Statements of a module, also within functions, and whether they are for type checking only."""
+    """Yield the statements of a module, also within functions, and whether each is for type checking only."""
     left: list[tuple[ast.AST, bool]] = [(tree, False)]
     while left:
         node, is_typing = left.pop()
@@ -248,7 +248,7 @@ def test_every_import_is_in_the_matrix() -> None:
     ],
 )
 def test_the_matrix_can_fail(package: str, withdrawn: str) -> None:
-    """Injected fault: without a used permission exactly its imports are found."""
+    """Injected fault: without a permission, exactly the imports that need it are found."""
     found = _outside({**MATRIX, package: MATRIX[package] - {withdrawn}})
     assert found
     for line in found:
@@ -280,7 +280,7 @@ def test_a_package_without_a_row_is_found() -> None:
 
 
 def test_the_matrix_has_no_cycle() -> None:
-    """Packages can be ordered such that each imports only earlier ones, aside from rows that name whole
+    """Packages can be ordered such that each imports only earlier ones, except for rows that permit whole
     packages."""
     left = {package: _rows_of(allowed) - {package} for package, allowed in MATRIX.items()}
     for command in ("model.cli", "model.reconstruction.commands"):
@@ -310,7 +310,7 @@ def test_every_imported_name_exists() -> None:
 
 
 def _private(tree: ast.Module) -> list[str]:
-    """Private members that code accesses as an attribute, an import, or a name given to ``setattr``."""
+    """Private names that code uses as an attribute, an import, or an argument of ``setattr`` or ``patch``."""
     found = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute) and ast.unparse(node.value) not in ("self", "cls", "os"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Recipes, suites and presets: schemas, positions of faults, and a recipe from questions."""
+"""Recipes, suites and presets: schemas, positions of faults, and recipes written by `datagen recipe new`."""
 
 from __future__ import annotations
 

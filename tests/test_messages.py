@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Texts of messages: empty files are named as such, recipes by differing fields, ids untruncated."""
+"""Texts of messages: empty files are named as such, differing fields are listed, ids are not truncated."""
 
 from __future__ import annotations
 

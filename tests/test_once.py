@@ -17,7 +17,7 @@ from tests.once import once
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no file locks")
 def test_a_result_is_made_once(tmp_path: Path) -> None:
-    """Others wait for it; a failed attempt leaves nothing."""
+    """Other callers wait for the result; a failed attempt leaves nothing."""
     made, a_second = [], Barrier(2)
 
     def fail() -> np.ndarray:

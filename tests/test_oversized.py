@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Small files that expand enormously are refused in 10 s and 1 GB with the limit and how to raise it."""
+"""Small files that expand enormously are refused within 10 s and 1 GB, with the limit and how to raise it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ EXPECTED = {
     "transforms_frames": "values",
     "transforms_empty_frames": "frames",
 }
-"""Limit that a refusal names, or the fault of a file that is wrong at any size."""
+"""Limit that the refusal of each file names, or the fault if the file is wrong at any size."""
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -48,7 +48,7 @@ def test_reading_ends_soon_and_names_the_limit_to_raise(name: str, tmp_path: Pat
 
 
 def test_a_limit_is_raised_by_the_environment(tmp_path: Path) -> None:
-    """With the limit raised as the message advises the same file is read."""
+    """With the limit raised as the message advises, the same file is read."""
 
     def write(folder: Path) -> Path:
         chain = [{"children": [k + 1]} for k in range(150)]

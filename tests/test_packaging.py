@@ -43,7 +43,7 @@ def _names(requirements: list[str]) -> set[str]:
 
 
 def _imported() -> dict[str, str]:
-    """External modules that the packages import, by full and top-level name, with one importing file."""
+    """One importing file of each external module that the packages import, by full and top-level name."""
     found: dict[str, str] = {}
     for package in PACKAGES:
         for path in sorted((REPOSITORY / package).rglob("*.py")):
@@ -65,7 +65,7 @@ def _module_of(distribution: str) -> str:
 
 
 def test_the_packages_import_every_dependency() -> None:
-    """Packages that only tests, benchmarks or the documentation import are in their extras."""
+    """Dependencies of tests, benchmarks or documentation alone belong into the extras for developers."""
     imported = _imported()
     user_extras = [PROJECT["optional-dependencies"][extra] for extra in USER_EXTRAS]
     for distribution in _names([*PROJECT["dependencies"], *(r for extra in user_extras for r in extra)]):
@@ -127,7 +127,7 @@ def test_bundled_files_are_found_by_name(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_missing_data_files_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The doctor reports them, too. Regression: it accepted a package without the library."""
+    """`datagen doctor` reports them, too. Regression: it accepted a package without the library."""
     from datagen.foundation import bundled
     from datagen.inspection import doctor
 

@@ -60,7 +60,7 @@ def test_rebuilding_everything_gives_the_same_bytes(tmp_path: Path) -> None:
 @needs_bpy
 @pytest.mark.bpy
 def test_reducing_maps_again_gives_the_same_panoramas(shared_data: Path, tmp_path: Path) -> None:
-    """Maps of Poly Haven yield equal bytes; maps that Blender renders differ between its versions."""
+    """Maps of Poly Haven yield equal bytes; Blender's own maps may differ between its versions."""
     bpy = importlib.util.find_spec("bpy")
     assert bpy is not None and bpy.origin is not None
     (blender,) = Path(bpy.origin).parent.glob("*/datafiles/studiolights/world")
@@ -86,7 +86,7 @@ def test_every_source_is_bundled_and_vice_versa() -> None:
 
 
 def seam(pixels: np.ndarray) -> float:
-    """Excess of the step across the texture's border over the largest inner step, of the worse axis.
+    """Ratio of the step across the texture's border to the largest inner step, on the worse axis.
 
     Steps are means of absolute differences over a whole row or column of texels.
     """
