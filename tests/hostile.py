@@ -251,7 +251,7 @@ _WATCHED = {
 
 
 def run_one(case: Case, guard: _Guard, number: int) -> bool:
-    """Write and read one input; True where it was accepted, False where it was refused with a clear error."""
+    """Write and read one input; return True if it is accepted, False if it is refused with a clear error."""
     path = case.write(random.Random(number))
     try:
         with guard.active():

@@ -46,7 +46,7 @@ class Reading:
 
 
 def scene(path: Path, *body: str) -> Path:
-    """Write a Mitsuba scene with the elements ``body``; returns its path."""
+    """Write a Mitsuba scene with the elements ``body``; return its path."""
     path.write_text(f"{_HEAD}{''.join(body)}</scene>")
     return path
 
@@ -127,7 +127,7 @@ def gltf(folder: Path, changes: dict | None = None) -> Path:
 
 
 def _gltf_nodes(folder: Path) -> Path:
-    """60,000 nodes that each instance one mesh."""
+    """60,000 nodes that instance the same mesh."""
     return gltf(folder, {"nodes": [{"mesh": 0}] * 60_000, "scenes": [{"nodes": list(range(60_000))}]})
 
 
@@ -145,7 +145,7 @@ def _gltf_chain(folder: Path) -> Path:
 
 
 def _gltf_matrix(folder: Path) -> Path:
-    """A matrix of three numbers."""
+    """A node's matrix of 3 instead of 16 numbers."""
     return gltf(folder, {"nodes": [{"mesh": 0, "matrix": [1, 0, 0]}]})
 
 

@@ -65,7 +65,7 @@ def _module_of(distribution: str) -> str:
 
 
 def test_the_packages_import_every_dependency() -> None:
-    """Dependencies of tests, benchmarks or documentation alone belong into the extras for developers."""
+    """Dependencies of tests, benchmarks or documentation alone belong in the developers' extras."""
     imported = _imported()
     user_extras = [PROJECT["optional-dependencies"][extra] for extra in USER_EXTRAS]
     for distribution in _names([*PROJECT["dependencies"], *(r for extra in user_extras for r in extra)]):

@@ -48,7 +48,7 @@ def test_development_of_a_photograph() -> None:
 
 def test_photographs_with_their_cameras_become_a_plausible_atlas(tmp_path: Path) -> None:
     """From eight noisy 96 x 64 JPEGs, a mesh without UVs or normals and the bundled checkpoint, over 30 % of
-    the atlas is seen, and D has less than 0.75 times the mean squared error of the exposed images as D."""
+    the atlas is seen, and the error (MSE) of predicted D is below 0.75 times that of the exposed images."""
     shard, _, library = make_shard(tmp_path / "rendered")
     truth = read_capture(shard)
     folder = tmp_path / "photographs"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The memory benchmark measures growth after a warm-up, which must leave at least one configuration."""
+"""The memory benchmark needs at least one configuration for the warm-up and one more for the growth."""
 
 from __future__ import annotations
 

@@ -706,8 +706,7 @@ def test_wrong_folders_and_assets_are_refused(quad: Quad, tmp_path: Path) -> Non
 
 
 def test_vendored_library_is_the_pinned_one() -> None:
-    """Package, lock file and script of three.js, which `make three` builds, have one version; its licence is
-    included."""
+    """Package, lock file and script of three.js have the same version, and its licence is included."""
     pinned = json.loads((REPOSITORY / ".ci" / "three" / "package.json").read_text())
     version = pinned["devDependencies"]["three"]
     locked = json.loads((REPOSITORY / ".ci" / "three" / "package-lock.json").read_text())

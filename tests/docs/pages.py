@@ -62,7 +62,7 @@ class Block:
 
     @property
     def reason(self) -> str:
-        """Reason why the block is not run."""
+        """Text after the semicolon: why the block is not run."""
         return self.note.partition(";")[2].strip()
 
     @property
@@ -71,7 +71,7 @@ class Block:
 
     @property
     def is_command(self) -> bool:
-        """Whether the block needs a note: Python, a shell language, or lines that begin with a program."""
+        """True if the block needs a note: Python, a shell language, or lines that begin with a program."""
         if self.is_python or self.language in SHELLS[1:]:
             return True
         return self.language == "" and any(_program(line) for line in self.text.splitlines())

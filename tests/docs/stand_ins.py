@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Small stand-ins for the files that the pages name: recipes, library, dataset, photographs, checkpoint.
+"""Small stand-ins for files that the documentation names: recipes, library, dataset, photographs, checkpoint.
 
 Each is made once per session by the project's code and copied where needed.
 """
@@ -149,7 +149,7 @@ def _room_blend(out: Path) -> None:
 
 
 def _oak(out: Path) -> None:
-    """Texture maps of a wood."""
+    """Texture maps of wood."""
     from PIL import Image
 
     out.mkdir()
@@ -197,7 +197,7 @@ class StandIns:
         self.root = root
 
     def begin(self, folder: Path) -> None:
-        """Create the stand-ins of every page: the recipes with their library, and the bundled library."""
+        """Create the stand-ins that every page needs: recipes with their library, and the bundled library."""
         write_recipes(folder / "scenes" / "recipes")
         (folder / "scenes" / "library").symlink_to(REPOSITORY / "scenes" / "library")
         self._copy(LIBRARY, folder / LIBRARY, _library)

@@ -117,7 +117,7 @@ SLOW = [p for p, page in READ.items() if any(b.action == "run slow" for b in pag
 
 @pytest.mark.parametrize("path", FAST, ids=_names(FAST))
 def test_the_commands_of_a_page_work(path: Path, tmp_path: Path, stand_ins: StandIns) -> None:
-    """Blocks must not depend on files of slow blocks, which are not run here."""
+    """Blocks must not depend on files written by slow blocks, which are not run here."""
     _run_page(READ[path], ("run", "file", "patch"), tmp_path, stand_ins)
 
 

@@ -33,7 +33,7 @@ def _processor_s() -> float:
 
 
 def execute(out: Path, library: Path | None = None) -> Any:
-    """Run the notebook with changed parameters in a separate process; returns it with its outputs."""
+    """Run the notebook with changed parameters in a separate process and return it with its outputs."""
     from nbclient import NotebookClient
 
     book = nbformat.read(NOTEBOOK, as_version=4)

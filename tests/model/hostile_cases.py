@@ -55,7 +55,7 @@ TOKENS = [
 
 
 def mutate_text(text: str, rng: random.Random) -> bytes:
-    """The text with lines and words replaced, removed, doubled or swapped, sometimes with damaged bytes."""
+    """The text with lines removed or repeated and words replaced or extended, or with damaged bytes."""
     action = rng.random()
     if action < PRISTINE:
         return text.encode()
@@ -311,7 +311,7 @@ def _mesh_case(suffix: str) -> CaseMaker:
 
 
 def _exported(suffix: str) -> bytes:
-    """Bytes of a textured box as a mesh file with this suffix."""
+    """Bytes of a box with UVs as a mesh file with this suffix."""
     import trimesh
 
     mesh = with_uv(box([-1, -1, 0], [1, 1, 1]))
@@ -332,7 +332,7 @@ def _exported(suffix: str) -> bytes:
 
 
 def photograph(folder: Path) -> Case:
-    """Photographs with EXIF in every supported format."""
+    """Damaged photographs in several formats, some with the suffix of another format."""
     import cv2
 
     pixels = np.random.default_rng(0).integers(0, 256, (SIZE[1], SIZE[0], 3)).astype(np.uint8)
@@ -441,7 +441,7 @@ def checkpoint(folder: Path) -> Case:
 
 
 def run_state(folder: Path) -> Case:
-    """A state file of an unfinished training run."""
+    """A damaged state file of an unfinished training run."""
     save_state(folder, RunProgress(phase=1, step=2), torch.nn.Linear(2, 2), None)
     path = folder / "state.safetensors"
     original = path.read_bytes()

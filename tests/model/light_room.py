@@ -184,7 +184,7 @@ def without_pixels(view: TracedView, hidden: NDArray[np.bool_]) -> TracedView:
 
 @dataclass(frozen=True)
 class Photograph:
-    """Photograph of one view of the room."""
+    """Photograph with the linear radiance ``color`` (H, W, 3), without clipping."""
 
     color: NDArray[np.float32]
 

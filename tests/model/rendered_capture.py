@@ -34,7 +34,7 @@ def cameras(num: int) -> list[ViewCamera]:
 
 
 def make_shard(root: Path, num_views: int = 8) -> tuple[Path, Configuration, Library]:
-    """Render a configuration and pack it; returns the shard, its configuration and its library."""
+    """Render a configuration and pack it; return the shard, its configuration and its library."""
     library_root = root / "library"
     write_small_library(library_root)
     library = Library([library_root])

@@ -41,8 +41,7 @@ def points_of(
 def fit(
     num: int = NUM, coverage: Any = 1.0, noise: float = 0.0, reflected: float = 0.4, **changes: Any
 ) -> AlbedoLevel:
-    """Fit gains to points with log-normal ``noise`` of reflectance and the photographed share ``coverage`` of
-    their incident light."""
+    """Fit gains to points with log-normal ``noise`` and the photographed share ``coverage`` of light."""
     which = np.arange(num) % 3
     arriving = np.resize(ARRIVING, (num, 3))
     factor = np.exp(noise * np.random.default_rng(4).normal(size=(num, 1)))
@@ -163,7 +162,7 @@ def test_predictions_near_zero_are_clamped_to_a_fiftieth() -> None:
 
 
 def test_the_gain_of_a_small_region_is_shrunk_to_the_rooms() -> None:
-    """One point at 4 times the room's level changes its region's gain less than 200 points do."""
+    """One point at 4 times the room's albedo scale changes its region's gain less than 200 points do."""
     gains = []
     for count in (1, 200):
         region = np.zeros(NUM, np.int64)

@@ -150,8 +150,8 @@ def test_scaling_the_target_scales_the_result():
 
 
 def test_the_confidence_weighted_sum_is_kept():
-    """The confidence-weighted sums of result and target are equal, so the gradient by the target is the
-    confidence, even after one iteration."""
+    """The confidence-weighted sums of result and target are equal, so that the gradient of this sum with
+    respect to the target is the confidence, even after one iteration."""
     guide, target, confidence = _images(24, 32)
     target.requires_grad_()
     filtered = bilateral_solve(target, confidence, build_grid(guide), SolverConfig(max_iterations=1))

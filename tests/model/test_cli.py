@@ -96,7 +96,7 @@ def test_training_with_validation_views_prints_no_note(dataset, tmp_path):
     ],
 )
 def test_options_without_meaning_for_a_capture_are_refused(tmp_path, capture, options):
-    """Regression: they were ignored."""
+    """Regression: such options were ignored."""
     (tmp_path / capture).write_text("")
     with pytest.raises(InputError, match="no such option for") as caught:
         CliRunner().invoke(app, ["check", str(tmp_path / capture), *options.split()], catch_exceptions=False)
@@ -106,7 +106,7 @@ def test_options_without_meaning_for_a_capture_are_refused(tmp_path, capture, op
 
 @pytest.mark.parametrize("option", ["--checkpoint a", "--materials light", "--no-filter", "--no-level"])
 def test_options_without_meaning_for_ground_truth_are_refused(tmp_path, option):
-    """Regression: all but the checkpoint were ignored."""
+    """Regression: all of these options except ``--checkpoint`` were ignored."""
     command = ["infer", str(tmp_path / "a.tar"), "--out", str(tmp_path), "--truth", *option.split()]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 2 and "has no effect with --truth" in result.output

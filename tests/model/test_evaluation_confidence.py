@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Confidence of the atlas in the judged views, and its chart."""
+"""Confidence of the atlas in the evaluated views, and its chart."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def result(calibration: dict[str, list[float]]) -> SuiteResult:
 
 
 def test_chart_shows_the_errors_of_the_quarters() -> None:
-    """Circles of the first panel, which spans x = 34 to 324; errors of 0.005 to 1 are at y = 188 to 48."""
+    """The first panel spans x = 34 to 324; there, errors of 0.005 to 1 span y = 188 to 48."""
     chart = standalone(confidence_svg(result({name: [0.5, 1.0, 0.1, 0.05, 0.01] for name in MATERIAL_MAPS})))
     root = ElementTree.fromstring(chart)
     circles = [(float(c.get("cx", 0)), float(c.get("cy", 0))) for c in root.findall(".//{*}circle")][1:5]

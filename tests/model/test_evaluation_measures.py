@@ -161,7 +161,7 @@ def test_level_and_pattern_are_separated() -> None:
 
 
 def test_published_measures_follow_their_code() -> None:
-    """Closed form for one view: kd counts only where the true R is 1; off the surface both images are 0."""
+    """Closed form for one view: kd is compared where the true R is 1; off the surface both images are 0."""
     truth = _maps(0.6, 0.0)
     truth[R][:, 3:] = 0.5
     lit = np.zeros(SHAPE, bool)

@@ -397,7 +397,7 @@ def test_a_long_view_keeps_a_row_in_pictures() -> None:
 
 
 def test_chart_has_a_block_for_each_camera() -> None:
-    """A method has the same colour for all cameras; the truth, which has no camera, is in the first block."""
+    """A method has one colour for all cameras; the truth, without camera faults, is in the first block."""
     result = _result()
     (scene,) = result.scenes[:1]
     method = scene.methods[0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Relighting of reconstructed rooms: active lights, and separate columns for recovered light."""
+"""Relighting of reconstructed rooms: which lights are on, and separate columns for recovered light."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_lamps_of_the_scene_light_a_reconstruction(
 
 
 def test_lights_that_the_geometry_shows_are_lamps(reconstruction: Path, mitsuba_variant: str) -> None:
-    """A light that is already a lamp of the reconstruction is left out, unless it is invisible."""
+    """A visible light that is a lamp of the reconstruction is left out; an invisible one is kept."""
     panel = AreaLight(name="bulb", origin_m=(0, 0, 2), edge_u_m=(1, 0, 0), edge_v_m=(0, -1, 0), radiance=TRUE)
     hidden = panel.model_copy(update={"is_visible": False})
     scene = opened(reconstruction, 1.0)

@@ -125,8 +125,8 @@ def test_a_package_can_be_a_source(prepared: PreparedScene, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("unit_m", [1.0, 2.0])
 def test_cameras_are_at_plausible_positions(unit_m: float, tmp_path: Path) -> None:
-    """Cameras are at hand-held height above the floor in any unit, outside of objects; the novel views are on
-    a path through free space between photographs."""
+    """Cameras are at hand-held height above the floor in any unit, outside of objects; novel views are on a
+    path through free space, and none is at the position of a photograph."""
     options = ImportOptions(unit_scale=unit_m, asset_id="room")
     import_mitsuba_scene(ROOM / "room.xml", tmp_path, options)
     recipe = CameraRecipe(height_m=HEIGHTS, min_distance_m=0.3)

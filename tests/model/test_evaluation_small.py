@@ -215,7 +215,7 @@ def test_cameras_and_seeds_reach_the_results(small: tuple[Suite, Evaluation], ca
 def test_methods_of_one_checkpoint_share_its_predictions(
     small: tuple[Suite, Evaluation], cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without materials from light, methods with the same checkpoint have the same predictions."""
+    """Methods of one checkpoint share its predictions even if only one of them uses materials from light."""
     suite, evaluation = small
 
     def refuse(*_: object) -> None:

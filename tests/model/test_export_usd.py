@@ -210,7 +210,7 @@ def radiance(prim: Any) -> NDArray[np.float64]:
 
 @needs_usd
 def test_known_lights_are_exported_where_none_were_found(tmp_path: Path) -> None:
-    """Lights of the capture replace found ones; a point light becomes a sphere of equal intensity."""
+    """Without found lights those of the capture are exported, a point as a sphere of equal intensity."""
     from pxr import Usd, UsdLux
 
     known: tuple[Light, ...] = (

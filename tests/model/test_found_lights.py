@@ -100,7 +100,7 @@ def test_lamp_and_window_are_found(inferred: Path) -> None:
 
 
 def gains_of(run: Inferred, factors: dict[str, Color]) -> dict[str, NDArray[np.float64]]:
-    """Multiply the lights by ``factors``; return these times the fitted gains, by slot: 1 where corrected."""
+    """Multiply the lights by ``factors``; return the fitted gains times ``factors`` by slot, ideally 1."""
     assert run.reconstruction.lights is not None
     wrong = replace(run.reconstruction, lights=run.reconstruction.lights.with_gains(factors))
     found = balance.balanced(wrong, run.samples)
@@ -146,7 +146,7 @@ def test_without_light_or_samples_nothing_is_corrected(run: Inferred) -> None:
 
 
 def test_black_samples_correct_nothing(tmp_path: Path) -> None:
-    """Their logarithm has no floor if most are black, as around the only lamp of a dark room."""
+    """The floor of their logarithm follows their median, which is 0 around the only lamp of a dark room."""
     capture, random = small_capture(2, (32, 24)), np.random.default_rng(0)
     atlas = empty_atlas(64)
     write_atlas_images(tmp_path, atlas, has_exr=False)

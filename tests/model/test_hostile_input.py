@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Untrusted captures and weights: a valid object or an InputError, no access outside, no pickle.
+"""Untrusted captures and weights yield a valid object or an InputError, without access to other folders or
+unpickling.
 
 For the full run see ``tests/datagen/test_hostile_input.py``.
 """

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Baked shading Ld (diffuse), Ls0 and Ls1 (specular) against float64 integrals, and the solve for materials.
-"""
+"""Baked shading Ld (diffuse), Ls0, Ls1 (specular) against float64 integrals, and the solve for materials."""
 
 from __future__ import annotations
 
@@ -343,7 +342,7 @@ def test_fragments_are_no_metal(surfels: int, is_metal: bool) -> None:
     ("residual", "brightness", "is_metal"), [(0.1, 1.0, True), (0.1, 1.2, False), (0.005, 1.2, True)]
 )
 def test_patches_of_sun_are_no_metal(residual: float, brightness: float, is_metal: bool) -> None:
-    """Surfaces brighter than white are no metal, except in exact captures, whose metals reflect lamps."""
+    """Segments brighter than white are not metal, except in exact captures, whose metals reflect lamps."""
     dielectric = np.full((len(ROUGHNESS_LEVELS), len(SPECULAR_LEVELS)), residual)
     found = decided(dielectric, 0.001, brightness=brightness)
     assert found.is_metal.tolist() == [is_metal]
@@ -484,8 +483,7 @@ def test_unexplained_segments_have_no_confidence() -> None:
 
 @pytest.mark.parametrize("residual", [0.02, 0.005])
 def test_roughness_between_likely_hypotheses_has_less_confidence(residual: float) -> None:
-    """Confidence of R is the weight of the mean over hypotheses in an inverse-variance mean with the network.
-    """
+    """Confidence of R is the inverse-variance weight of the mean over hypotheses against the network's R."""
     clear = decided(costs_of_levels(residual, residual))
     assert clear.confidence[0, 2] > 0.95
     costs = costs_of_levels(residual, residual, (1, 2))

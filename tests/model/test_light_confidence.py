@@ -99,7 +99,7 @@ def test_surfels_with_mixed_radiance_do_not_lower_confidence() -> None:
 
 
 def test_few_bright_surfels_do_not_lower_confidence() -> None:
-    """Three bright blocks of thirty, such as window frames, do not affect their neighbourhood; six do."""
+    """Three bright blocks of cells out of thirty, such as window frames, do not affect the others; six do."""
     num = 30 * BLOCK_CELLS
     for blocks, trusted in ((3, 1.0), (6, 0.0)):
         radiance = np.full((num, 3), 0.5)
@@ -120,7 +120,7 @@ def test_confidence_is_low_everywhere_in_an_unlit_room() -> None:
 
 @pytest.mark.parametrize(("share", "trusted"), [(0.0, 1.0), (0.09, 1.0), (0.2, 0.5)])
 def test_confidence_follows_the_share_around(share: float, trusted: float) -> None:
-    """Shares up to a tenth are noise, as is a radiance up to a tenth above that of a white surface."""
+    """Up to a tenth of bright surfels counts as noise, as does a radiance up to a tenth above white."""
     num = 4 * BLOCK_CELLS
     radiance = np.full((num, 3), 0.5)
     radiance[np.arange(num) % 25 < round(25 * share)] = 1.5

@@ -76,7 +76,7 @@ def test_unlit_albedo_has_the_networks_level_and_the_photographs_pattern(
 
 
 def test_partly_photographed_light_counts_against_the_network(wall: Surfels) -> None:
-    """The network is a fifth too dark, and no light is known."""
+    """The network's D is a fifth too low; no surfel is confident, with 5 % or 65 % of light photographed."""
     true = _checks(0.6, 0.5)
     none, on_wall = np.zeros(len(true), np.float32), np.ones(len(true), bool)
     region = none.astype(np.int32)
@@ -91,7 +91,7 @@ def test_partly_photographed_light_counts_against_the_network(wall: Surfels) -> 
 
 
 def test_known_light_is_kept_and_a_deviating_network_counts_little(wall: Surfels) -> None:
-    """The network is three times too dark in known light, so it hardly affects the half in unknown light."""
+    """The network's D is a third of the true one in known light, so it counts little in unknown light."""
     true = _checks(0.6, 0.5)
     known = (np.arange(len(true)) % SIDE < SIDE // 2).astype(np.float32)
     network = true / 3 * np.where(np.arange(len(true)) % 2, 2.0, 0.5)[:, None]

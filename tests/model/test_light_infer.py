@@ -51,8 +51,8 @@ def inferred(
 
 
 def walls_found(found: NDArray) -> NDArray[np.float64]:
-    """Share of the texels within 20 % of the albedo of a wall. An untrained network predicts a specular
-    albedo that light cannot exclude and that lowers D."""
+    """Share of the texels within 20 % of the albedo of a wall. It is below 1 because an untrained network
+    predicts a specular albedo that lowers D and that the photographs cannot exclude."""
     apart = np.abs(np.log(np.maximum(found, 1e-3)[:, None] / ALBEDOS[None])).max(axis=2).min(axis=1)
     return np.mean(apart < 0.2)
 
@@ -62,7 +62,7 @@ def test_atlas_has_the_walls_albedos_for_any_prediction(tmp_path: Path) -> None:
     report, found = inferred(tmp_path, 3, "both", tell=lambda *progress: steps.append(progress))
     assert walls_found(found) > 0.7
     finished = {stage for stage, done, total in steps if done == total}
-    assert set(report.seconds) - finished == {"statistics", "write maps"}  # they are parts of predict
+    assert set(report.seconds) - finished == {"statistics", "write maps"}  # these are parts of predict
     assert {("light", 1, 11), ("lights", 0, 1), ("export", 1, 4), ("trace", 0, 1)} <= set(steps)
     written = json.loads((tmp_path / "both-3-inf" / "report.json").read_text())["light"]
     assert written["photographed_share"] > 0.95 and min(written["confidence"][:2]) > 0.95

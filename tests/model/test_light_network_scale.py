@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scaling of the network's diffuse albedo to surfels of known light."""
+"""Scaling of the network's diffuse albedo to that of surfels in known light."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.model.test_light_room import ONE_ROUND, of_quad, predicted, room, sol
 
 
 def test_scale_comes_from_confident_surfels() -> None:
-    """Half of the surfels have a ratio of 0.1, but no confidence, and do not affect the scale."""
+    """Surfels with a tenth of the predicted albedo, half of all, have no confidence and change no scale."""
     predicted_albedo = np.full((1000, 3), 0.3)
     known = np.arange(1000) % 2 == 0
     albedo = predicted_albedo * np.where(known[:, None], [1.2, 1.5, 2.0], 0.1)
@@ -51,8 +51,8 @@ def of_face(view: TracedView, name: str) -> NDArray[np.bool_]:
 
 
 def south_wall(trust: float, monkeypatch: pytest.MonkeyPatch) -> float:
-    """Ratio of the south wall's median D to that from light, if no hypothesis explains the wall and ``trust``
-    is the trust in its light in view of hidden sources."""
+    """Ratio of the south wall's median D to that of :func:`room`, if its segments have no confidence and
+    ``trust`` replaces the trust in light that hidden sources reduce."""
     explained, south = stage.solve_points, of_quad(room(), "south")
 
     def unexplained(lit, points, shading, segmentation, *rest):  # type: ignore[no-untyped-def]
@@ -94,7 +94,7 @@ def test_light_without_weight_has_no_scale(monkeypatch: pytest.MonkeyPatch) -> N
     ],
 )
 def test_scaled_prediction_is_no_whiter_than_paint(diffuse: float, white: White, expected: float) -> None:
-    """The limit lowers the network's own predictions only as far as the room's white is known."""
+    """The limit lowers unscaled predictions of the network only as far as the room's white is known."""
     found = unknown_albedo(diffuse, 2, lighting=0.01, white=white)[0]
     np.testing.assert_allclose(found, expected, atol=2e-3)
 

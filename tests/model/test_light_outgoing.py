@@ -78,7 +78,7 @@ def outgoing(
 
 
 def test_outgoing_radiance_is_the_mean_over_the_hemisphere() -> None:
-    """A grazing view shows a specular part of more than twice the mean."""
+    """At a grazing angle the specular part is more than twice its mean over the hemisphere."""
     found, specular = photographed(DIFFUSE + float(photographed(0)[1][0, 0]))
     radiance, diffuse = outgoing(found, specular)
     np.testing.assert_allclose(diffuse, DIFFUSE, rtol=1e-5)

@@ -265,7 +265,7 @@ def test_light_of_an_unseen_lamp_is_detected(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_confidence_falls_with_the_share_of_hidden_light() -> None:
-    """It falls earlier for sources at unknown places than for lamps that the geometry declares."""
+    """Confidence falls earlier for sources at unknown positions than for lamps that the geometry declares."""
     hidden, none = np.array([0.0, 0.25, 0.325, 0.4, 1.0]), np.zeros(5)
     np.testing.assert_allclose(trust_in_hidden(hidden, none), [1, 1, 0.5, 0, 0], atol=1e-6)
     declared = np.array([0.0, 0.4, 0.7, 1.0, 1.0])

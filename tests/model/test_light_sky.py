@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Windows and skies: where rays leave, distance of the outside, and orientation of sky images."""
+"""Windows and skies: openings of the room, near and far backgrounds, and orientation of sky images."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def test_hole_of_the_mesh_is_no_window() -> None:
 
 
 def test_rectangles_of_a_mask() -> None:
-    """Rectangles equal those of an exhaustive search in small random masks."""
+    """The largest rectangles have the areas found by exhaustive search in small random masks."""
     random = np.random.default_rng(2)
     for _ in range(30):
         mask = random.random((7, 9)) < 0.7
@@ -245,7 +245,7 @@ def test_image_of_the_sky_has_the_directions_of_rays() -> None:
 
 
 def test_unnamed_lamp_is_found() -> None:
-    """In front of a lamp that the geometry does not name, a panel of its power is found."""
+    """In front of a lamp that the geometry does not name, a panel of equal power is found."""
     named = room_geometry()
     parts = tuple(replace(part, emission=None) for part in named.parts)
     options = LightOptions(irradiance_rays=24, estimate_rays=16)
@@ -428,7 +428,7 @@ def test_a_sun_of_gain_zero_is_no_punctual_light(tmp_path: Path) -> None:
 
 
 def test_small_lamps_are_exported_as_points_on_demand(tmp_path: Path) -> None:
-    """A bulb of 20 cm has the intensity, in candela, of its projected area: a quarter of its surface."""
+    """The intensity (cd) of a bulb of 20 cm is that of its projected area, a quarter of its surface."""
     capture = room_capture(2, (32, 24))
     faces = np.array([0], np.int32)
     area = float(capture.geometry.mesh.areas()[0])

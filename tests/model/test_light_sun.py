@@ -64,8 +64,7 @@ def test_sun_is_found_from_textured_surfaces() -> None:
 
 
 def test_clipped_surfaces_do_not_determine_the_irradiance() -> None:
-    """The irradiance is right with a quarter of the sunlit floor clipped; with two thirds there is no result.
-    """
+    """The irradiance is right with a quarter of the sunlit floor clipped; with two thirds none is given."""
     lit, rays = surfaces(np.array([[0.3, 0.3, 0.3], [0.5, 0.5, 0.5]]))
 
     def clipped(limit: float) -> LitSurfaces:
@@ -202,7 +201,7 @@ SUN = FoundSun(SUN_DIRECTION, SUN_IRRADIANCE, 0.0093)
 
 
 def test_sun_is_exported_with_the_same_direction_everywhere(tmp_path: Path) -> None:
-    """Package, Mitsuba scene and GLB have light of the sun's irradiance that travels away from it."""
+    """Package, Mitsuba scene and GLB contain light of the sun's irradiance that comes from its direction."""
     import mitsuba as mi
 
     from mitsuba_plugins import register

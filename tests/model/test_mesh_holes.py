@@ -30,7 +30,7 @@ def fine(mesh: Mesh) -> Mesh:
 
 
 def without(mesh: Mesh, centre: NDArray, radius_m: float) -> Mesh:
-    """The mesh without the triangles whose centres are near a point."""
+    """The mesh without the triangles whose centres are within ``radius_m`` of ``centre``."""
     distance = np.linalg.norm(mesh.triangles().mean(axis=1) - centre, axis=1)
     return replace(mesh, faces=mesh.faces[distance > radius_m])
 
@@ -137,14 +137,14 @@ def holed_capture(
 
 
 def behind(camera: Camera, color: NDArray, points: NDArray) -> NDArray:
-    """A striped floor 3 m below the hole, of the same mean."""
+    """Paint a striped floor 3 m below the hole, with the floor's mean radiance."""
     ways = points - camera.position_m
     far = camera.position_m + ways * ((-3 - camera.position_m[2]) / np.minimum(ways[..., 2:], -1e-6))
     return color * np.where(np.floor(far[..., :1] * 10) % 2 == 0, 1.4, 0.6)
 
 
 def floor(camera: Camera, color: NDArray, points: NDArray) -> NDArray:
-    """The floor that the mesh lacks."""
+    """Paint the floor that the mesh lacks."""
     return color
 
 

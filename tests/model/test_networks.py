@@ -58,7 +58,7 @@ def test_padding_changes_nothing():
 
 
 def test_receptive_field(monkeypatch):
-    """Gradient support of one output pixel through the convolutions alone, over all phases of the grid."""
+    """Gradient support of one output pixel through the convolutions alone, at phases of the coarsest grid."""
     monkeypatch.setattr(networks.Layer, "modulate", lambda self, x, g, valid: (x, g))
     torch.manual_seed(0)
     config = NetworkConfig(base_channels=1, global_channels=1, dropout=0.0)

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""User-defined networks: trained, resumed, loaded from checkpoints, and refused if they break the
-contract."""
+"""User-defined networks: trained, loaded from checkpoints, and refused if they break the contract."""
 
 from __future__ import annotations
 

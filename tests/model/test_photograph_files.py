@@ -132,8 +132,8 @@ XYZ_TO_SRGB = (
 
 
 def write_dng(path: Path, linear: NDArray[np.float64], orientation: int = 1) -> Path:
-    """Write a DNG with an R G / G B mosaic of linear Rec.709 ``linear`` (H, W, 3) and white at ``NEUTRAL``;
-    1/100 s, f/2, ISO 100."""
+    """Write a DNG with an R G / G B mosaic of linear Rec.709 colours ``linear`` (H, W, 3) and the as-shot
+    neutral :data:`NEUTRAL`; 1/100 s, f/2, ISO 100."""
     height, width = linear.shape[:2]
     colors = np.tile([[0, 1], [1, 2]], (height // 2, width // 2))
     rows, columns = np.mgrid[:height, :width]

@@ -87,7 +87,7 @@ def points_of(capture: Capture) -> bytes:
 
 
 def photographed(folder: Path) -> tuple[Path, Path, Path]:
-    """Write photographs of the lit box, and a stub of COLMAP beside its output; returns the three paths."""
+    """Write photographs of the lit box, and a stub of COLMAP beside its output; return the three paths."""
     images, truth = folder / "kitchen", folder / "truth"
     images.mkdir()
     (truth / "model").mkdir(parents=True)

@@ -58,7 +58,7 @@ def radiometry(views: Sequence[TracedView]) -> Radiometry:
 
 @lru_cache(maxsize=1)
 def completed() -> Completed:
-    """Completion of photographs whose exposures differ by 0.4 stops."""
+    """Photographs whose exposures differ by 0.4 stops, equalised and with recovered clipped light."""
     geometry = room_geometry()
     traced = TracedGeometry(geometry)
     views = taken(stops=0.4)
@@ -210,7 +210,7 @@ def test_patches_brighter_than_in_sunlight_are_no_sources(radiance: float, is_fo
 
 
 def test_materials_of_completed_photographs_are_found() -> None:
-    """D is within 10 % (exact photographs: 6 %), and more than 30 % off without completion."""
+    """D is within 10 % (from exact photographs: 6 %), and more than 30 % off without the recovered light."""
     found = completed()
     views = tuple(found.views)
     ours = solved(views, predicted(views), EXPOSURE, options=ONE_ROUND)

@@ -152,8 +152,7 @@ def test_realitycapture_compass_angles(angles: tuple, forward: tuple, top: tuple
 
 @pytest.mark.parametrize("as_attributes", [False, True])
 def test_realitycapture_xmp(tmp_path: Path, as_attributes: bool) -> None:
-    """Values are elements or attributes, depending on the software's version; x = R (X - position), and
-    offsets are in units of the longer side."""
+    """Values are elements or attributes; x = R (X - position); offsets are in units of the longer side."""
     write_images(tmp_path, [f"a{k}.png" for k in range(3)])
     write_mesh(tmp_path)
     oracles: dict[str, Oracle] = {}
@@ -205,7 +204,7 @@ LOCAL = 'LOCAL_CS["Local Coordinates (m)",LOCAL_DATUM["Local Datum",0],UNIT["met
 def write_metashape(
     folder: Path, kind: str, lens: str, reference: str = LOCAL
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Write a Metashape file; returns the rotation and centre of chunk_from_camera per camera."""
+    """Write a Metashape file; return the rotation and centre of chunk_from_camera of each camera."""
     turn = Rotation.from_euler("xyz", [0.3, -0.4, 1.1]).as_matrix()
     cameras, stored = "", []
     for k, (rotation, center) in enumerate(poses()):  # the chunk's frame differs from the world

@@ -94,8 +94,7 @@ def test_a_camera_moved_along_its_axis_is_named(metres: float, expected: str) ->
     ("offset", "scale"), [((0.02, -0.01, 0.015), 1.02), ((0, 0, 0), 0.98), ((0.02, 0, 0), 1)]
 )
 def test_offset_and_scale_of_a_mesh_are_separated(offset: tuple[float, float, float], scale: float) -> None:
-    """Offset and scale follow from shifts of points 3 m ahead of the cameras with 0.1 px of noise and two
-    outliers."""
+    """Shifts of points 3 m ahead, with 0.1 px of noise and two outliers, determine offset and scale."""
     rng = np.random.default_rng(0)
     cameras = []
     for _ in range(14):

@@ -114,8 +114,8 @@ def test_filled_texels_fade_from_the_border_to_the_typical_value(monkeypatch: py
 
 
 def test_typical_values_of_hardly_seen_charts_are_those_of_their_piece() -> None:
-    """Charts 0 to 2 are one piece, with a hundredth of its seen texels in chart 1; charts 3 and 4 are another
-    piece, seen in one texel of chart 3."""
+    """Charts 0 to 2 are one piece, 1 % of whose seen texels are in chart 1; of the other piece, charts 3 and
+    4, one texel is seen."""
     charts, piece = np.array([0, 0, 0, 1, 2, 3, 4]), np.array([5, 5, 5, 5, 5, 9, 9])
     means = np.array([[0.8], [0.7], [0.1], [0.2], [0.75], [0.3], [0.0]])
     found = typical_values(charts, piece, means, np.array([600, 300, 90, 20, 990, 1, 0]))[:, 0]

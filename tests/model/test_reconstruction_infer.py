@@ -320,8 +320,7 @@ def test_assets_can_be_relit_and_get_inserted_objects(
 
 
 def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Stopped after four views, one then damaged, inference predicts only the rest, identically; a folder of
-    other options is refused."""
+    """After a stop, only missing and damaged views are predicted, identically; other options are refused."""
     options = InferOptions(atlas=128, precision="float32", batch=2, has_exr=False)
     whole = infer(
         rendered.small_capture(), rendered.root / "whole", CheckpointMaps(rendered.checkpoint), options

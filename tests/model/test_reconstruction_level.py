@@ -171,8 +171,8 @@ def test_uncertain_light_does_not_count(part: float, is_applied: bool) -> None:
 
 
 def test_inference_corrects_the_atlas_and_keeps_the_views(tmp_path: Path) -> None:
-    """With constant predictions of untrained networks the atlas gets the gains, and views stay as predicted.
-    A lamp at the clipping limit changes little."""
+    """The atlas is multiplied by the gains, and views stay as an untrained network predicts them. A lamp at
+    the clipping limit changes little."""
     torch.manual_seed(3)
     network = NetworkConfig(base_channels=4, global_channels=8)
     card = CheckpointCard(network=network, loss="none", phase="untrained", step=0)

@@ -131,7 +131,7 @@ def test_faults_of_the_mesh(tmp_path: Path, fault: Callable[[Mesh], Mesh]) -> No
 
 
 def test_wrong_views_are_named_in_the_result(tmp_path: Path) -> None:
-    """Views that are black, clipped, of another room, or rotated by 1.2 degrees still give a result."""
+    """With views that are black, clipped, of another room, or rotated by 1.2 degrees, there is a result."""
     capture = photographed_room()
     shape = capture.views[0].source.color.shape  # type: ignore[attr-defined]
     capture = with_color(capture, 0, np.zeros(shape))

@@ -162,8 +162,7 @@ def test_a_closed_room_under_a_sky_keeps_its_lights(asset: Path, tmp_path: Path)
 
 
 def test_a_grey_sky_is_one_and_a_faulty_one_is_named(asset: Path, tmp_path: Path) -> None:
-    """An image of one channel is accepted as a sky, whose light does not reach the room; the message about an
-    invalid one names the given file."""
+    """An image of one channel is a valid sky; the message about an invalid image names the given file."""
     sky, warnings = tmp_path / "sky.exr", list[str]()
     for value in (1.0, np.nan):
         pixels = np.full((8, 16), value, np.float32)
@@ -196,7 +195,7 @@ def test_a_room_without_light_gets_a_lamp(
 def test_zips_are_closed_and_descriptions_accepted(
     asset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Unpacked files of a zip are removed; the path of ``asset.json`` names its package, as elsewhere."""
+    """Unpacked files of a zip are removed; a package may be given by the path of its ``asset.json``."""
     with open_package(asset) as package:
         files = {name: package.read_bytes(name) for name in package.names()}
         write_package(tmp_path / "room.zip", package.asset, files).close()

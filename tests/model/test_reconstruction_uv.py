@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A mesh's valid unwrap is kept; new unwraps are valid and of one density."""
+"""A mesh's valid unwrap is kept; new unwraps are valid and of equal texel density."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
 
 def tiled_room() -> Mesh:
-    """A furnished room with repeating UVs, which are no unwrap."""
+    """A furnished room with repeating UVs, which are not a valid unwrap."""
     return with_uv(trimesh.util.concatenate(list(room_shapes(5, 4, 2.7).values())))
 
 

@@ -28,7 +28,7 @@ def points_on(low: NDArray, high: NDArray, num: int, rng: np.random.Generator) -
 
 
 def is_hidden(origin: NDArray, target: NDArray) -> bool:
-    """Whether the block is between two points."""
+    """Return whether the block is between two points."""
     way = np.where(np.abs(target - origin) < 1e-9, 1e-9, target - origin)
     ends = np.sort((BLOCK - origin) / way, axis=0)
     return bool(max(ends[0].max(), 0) < min(ends[1].min(), 1 - 1e-3))

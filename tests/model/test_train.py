@@ -218,7 +218,7 @@ def test_a_killed_run_resumes_from_its_last_state(dataset, whole, tmp_path):
 
 
 def test_a_log_keeps_its_rows_when_a_resumed_run_is_killed(tmp_path):
-    """The rows are on disk before the first new one, and without half a row of the killed run."""
+    """Before the first new row, the kept rows are on disk, without the incomplete row of the killed run."""
     with RunLog(tmp_path, tensorboard=False) as log:
         for step in range(1, 121):
             log.scalars(step, "joint", 0, "train", {"total": step / 2})
