@@ -146,7 +146,7 @@ def test_without_light_or_samples_nothing_is_corrected(run: Inferred) -> None:
 
 
 def test_black_samples_correct_nothing(tmp_path: Path) -> None:
-    """The floor of their logarithm follows their median, which is 0 around the only lamp of a dark room."""
+    """The floor of log radiance is relative to the samples' median, which is 0 if most are black."""
     capture, random = small_capture(2, (32, 24)), np.random.default_rng(0)
     atlas = empty_atlas(64)
     write_atlas_images(tmp_path, atlas, has_exr=False)

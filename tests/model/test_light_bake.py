@@ -224,7 +224,7 @@ def test_metal_reflects_a_lamp_without_noise(roughness: float) -> None:
 
 
 def observations(num: int, metal: bool, seed: int) -> tuple[NDArray, ...]:
-    """Arguments of ``segment_costs``: random shading in 8 views, and radiance at R 0.4, S 0.06 or metal."""
+    """Arguments of ``segment_costs`` for 8 randomly lit views of metal or a dielectric (S 0.06) of R 0.4."""
     random = np.random.default_rng(seed)
     levels = len(ROUGHNESS_LEVELS)
     ls0 = random.gamma(0.6, 1.0, (num, 8, levels, 3)).astype(np.float32)

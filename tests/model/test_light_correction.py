@@ -36,7 +36,7 @@ def wall() -> Surfels:
 
 
 def _checks(high: float, low: float) -> np.ndarray:
-    """Albedo (N, 3) of a checkerboard with fields of four surfels."""
+    """Albedo (N, 3) of a checkerboard with fields of 4 x 4 surfels."""
     y, z = np.divmod(np.arange(SIDE * SIDE), SIDE)
     return np.where(((y // 4 + z // 4) % 2 == 0)[:, None], high, low) * np.array([1.0, 0.9, 0.7])
 

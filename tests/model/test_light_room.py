@@ -108,7 +108,7 @@ def median_albedo(found: LightMaterials, name: str) -> NDArray[np.float64]:
 
 
 def wall_error(found: LightMaterials) -> float:
-    """Greatest relative error of the walls' diffuse albedo."""
+    """Largest relative error of a wall's median diffuse albedo in any channel."""
     true = {quad.name: np.array(quad.diffuse) for quad in quads()}
     return max(float(np.abs(median_albedo(found, name) / true[name] - 1).max()) for name in WALLS)
 

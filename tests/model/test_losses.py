@@ -48,7 +48,7 @@ def test_the_truth_has_zero_loss(scene):
 
 @pytest.mark.parametrize("name", ["diffuse_albedo", "specular_albedo", "roughness"])
 def test_gradients_move_each_map_towards_the_truth(scene, name):
-    """Gradients are finite, vanish where there is no surface, and a step along them lowers the loss."""
+    """Gradients are finite and vanish where there is no surface, and a step against them lowers the loss."""
     truth, geometry = scene
     loss = MaterialLoss(LossConfig(), GradientSsim())
     generator = torch.Generator().manual_seed(4)

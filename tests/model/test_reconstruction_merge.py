@@ -82,7 +82,7 @@ def fetched(
 
 
 def pixel_weights(view: MapView, options: MergeOptions) -> np.ndarray:
-    """Weights (H, W, 3) of a view's D, S, R by pixel; the typical resolution is 1 pixel per metre."""
+    """Weights (H, W, 3) of a view's D, S, R by pixel, for a median resolution of 1 pixel per metre."""
     found = np.ones(view_shape(view))
     if options.weights != "none":
         found *= distance_to_border(view)[..., None]
@@ -102,8 +102,8 @@ def mean_of_middle(values: np.ndarray, weights: np.ndarray) -> float:
 
 
 def distance_to_border(view: MapView) -> np.ndarray:
-    """Weights (H, W) of a view by brute force: distance to the nearest pixel outside of the image, without
-    surface, or at a depth discontinuity."""
+    """Weights (H, W) of a view by brute force: relative distance to the nearest pixel outside of the image,
+    without surface, or at a depth discontinuity, in [1e-3, 1]."""
     depth = view.depth_z_m[..., 0]
     is_border = np.pad(depth <= 0, 1, constant_values=True)
     for row in range(depth.shape[0]):
@@ -121,7 +121,7 @@ def distance_to_border(view: MapView) -> np.ndarray:
 def brute_force(
     mesh: Mesh, views: list[MapView], size: int, options: MergeOptions
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Medians (N, N, 7), counts and faces (N, N), and mask of ambiguous texels, by loops over float64."""
+    """Merged channels (N, N, 7), counts and faces (N, N), and mask of ambiguous texels, by float64 loops."""
     face_of, points, normals = surface_under(mesh, size)
     regions = smooth_regions(mesh)
     views = [replace(view, confidence=pixel_weights(view, options)) for view in views]

@@ -233,7 +233,7 @@ def test_a_log_keeps_its_rows_when_a_resumed_run_is_killed(tmp_path):
 
 
 def test_validation_does_not_change_training(dataset, tmp_path):
-    """Validating after every step changes neither dropout nor the loss curve, also across an interruption."""
+    """Validating after every step changes neither the dropout of the trained track nor the loss curve."""
     settings = ("phases=[{name: diffuse, steps: 4}]", "network.dropout=0.5")
     curves = []
     for name, extra in (("often", "validation.every_steps=1"), ("never", "validation.num_views=0")):
