@@ -28,6 +28,7 @@ import numpy as np
 from datagen.foundation.buffers import BUFFERS, GROUND_TRUTH_BUFFERS, MATERIAL_MAPS
 from datagen.foundation.errors import input_error
 from mitsuba_plugins.cells import cell_of
+from mitsuba_plugins.lattice import generator, lattice_point
 from mitsuba_plugins.surface_material import IdTable, SceneMaterials
 
 Array = Any
@@ -40,10 +41,9 @@ SOLID_OPACITY = 0.5
 """Minimum opacity of a solid surface; the first solid surface determines a pixel's depth and ids."""
 MIN_COVERAGE = 1e-6
 """Coverage by reflecting surface up to which a pixel is masked, since so small a sample is only noise."""
-# Generators of a lattice in five dimensions, as fractions of 2^32: 1/g and 1/g^2 with g^3 = g + 1 for the
-# pixel (the R2 sequence of M. Roberts), and the fractional parts of sqrt(2) and sqrt(3) for the lens and of
-# sqrt(5) for time. They are independent over the rationals, so multiples fill all dimensions evenly.
-_PIXEL_X, _PIXEL_Y, _LENS_X, _LENS_Y, _TIME = 3242174889, 2447445413, 1779033703, 3144134277, 1013904243
+# Steps of lens and time in units of 2^-32: the fractional parts of sqrt(2), sqrt(3) and sqrt(5), which are
+# independent over the rationals, so that their multiples fill three dimensions evenly.
+_LENS_X, _LENS_Y, _TIME = 1779033703, 3144134277, 1013904243
 CHANNELS = {name: BUFFERS[name].channels for name in GROUND_TRUTH_BUFFERS} | {
     "position_world": ("X", "Y", "Z")
 }
@@ -121,12 +121,6 @@ class _View:
         shutter = self.sensor.shutter_open() + time * self.sensor.shutter_open_time()
         ray, _ = self.sensor.sample_ray(shutter, mi.Float(0.5), position, lens)
         return ray
-
-
-def _lattice_point(index: Array, shift: Array, generator: int) -> Array:
-    """Return one coordinate, in [0, 1), of point ``index`` of a rank-1 lattice with random ``shift``."""
-    bits = index * mi.UInt32(generator) + shift
-    return mi.Float(bits >> 8) * (1.0 / (1 << 24))
 
 
 @dataclass(frozen=True)
@@ -214,6 +208,7 @@ def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[
     first_x, last_x = pixel_filter.variates_inside(x, view.width)
     first_y, last_y = pixel_filter.variates_inside(y, view.height)
     num_samples = dr.opaque(mi.UInt32, spp)
+    step_x, step_y = (dr.opaque(mi.UInt32, step) for step in generator(spp))
 
     def cond(i: Any, *_: Any) -> Any:
         return i <= num_samples
@@ -221,13 +216,13 @@ def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[
     def body(i: Any, total_weight: Any, *result: Any) -> tuple[Any, ...]:
         *sums, point, shape_index = result
         is_centre = i == 0
-        offset_x, sign_x = pixel_filter.sample(dr.lerp(first_x, last_x, _lattice_point(i, shift_x, _PIXEL_X)))
-        offset_y, sign_y = pixel_filter.sample(dr.lerp(first_y, last_y, _lattice_point(i, shift_y, _PIXEL_Y)))
-        lens = mi.Point2f(_lattice_point(i, lens_x, _LENS_X), _lattice_point(i, lens_y, _LENS_Y))
+        offset_x, sign_x = pixel_filter.sample(dr.lerp(first_x, last_x, lattice_point(i, shift_x, step_x)))
+        offset_y, sign_y = pixel_filter.sample(dr.lerp(first_y, last_y, lattice_point(i, shift_y, step_y)))
+        lens = mi.Point2f(lattice_point(i, lens_x, _LENS_X), lattice_point(i, lens_y, _LENS_Y))
         ray = view.ray(
             x + 0.5 + dr.select(is_centre, 0.0, offset_x),
             y + 0.5 + dr.select(is_centre, 0.0, offset_y),
-            dr.select(is_centre, 0.5, _lattice_point(i, lens_x ^ lens_y, _TIME)),
+            dr.select(is_centre, 0.5, lattice_point(i, lens_x ^ lens_y, _TIME)),
             dr.select(is_centre, 0.5, lens),
         )
         hit = _trace(view, ray)

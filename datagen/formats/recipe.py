@@ -203,7 +203,7 @@ QUALITIES: dict[Quality, dict[str, float | int | None]] = {
     "standard": {
         "max_rel_mse": 0.005,
         "max_path_samples": 128,
-        "auxiliary_samples": 64,
+        "auxiliary_samples": 48,
         "firefly_clamp": 30.0,
         "irradiance_cache": True,
     },

@@ -6,7 +6,7 @@ from __future__ import annotations
 from importlib.metadata import PackageNotFoundError, version
 
 DISTRIBUTION = "scene-materials"
-RESULT_REVISION = 18
+RESULT_REVISION = 19
 """Incremented whenever a change of the code changes the bytes of a dataset but not its configurations."""
 LIGHT_REVISION = 6
 """Incremented whenever a change of the code changes only the buffers of ``statistics: {light: true}``."""

@@ -56,8 +56,8 @@ class TestScene(StrictModel):
     ``source``: a Mitsuba file, its folder, an environment package, or a recipe (.yaml), whose configuration
     number ``configuration`` is the scene; ``imports`` are files and folders whose assets the recipe may use.
     There are ``views`` photographs, and ``novel_views`` more views on a walk, of ``resolution`` (width,
-    height); ``render`` and ``cameras`` are as in recipes. ``judged``: quality of all judged views instead of
-    the suite's ``truth`` and ``render``, for scenes with more noise. ``seed`` seeds cameras and light paths.
+    height); ``render`` and ``cameras`` are as in recipes. ``judged``: quality of true and re-rendered views
+    instead of the suite's ``truth`` and ``render``, for noisy scenes. ``seed`` seeds cameras and light paths.
     ``unit_m``: metres per unit of a Mitsuba file; ``annotations``: file with corrections of the imported room
     (docs/importing.md). ``may_know_shapes``: checkpoints may have been trained on the rooms and objects of a
     recipe, but on none of its materials.

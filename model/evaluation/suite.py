@@ -127,16 +127,16 @@ class Suite(StrictModel):
     """Configuration of ``materials evaluate``.
 
     At most ``input_views`` of the views available to methods, drawn by ``seed``, and ``novel_views`` novel
-    views of each scene are judged. ``render``: quality of a re-rendered view; ``truth``: quality of a judged
-    view of the truth, which is then rendered separately from the photographs, once per scene; None uses the
-    photographs as truth, and renders other lights at their quality. ``seed_views`` of each set and light are
-    rendered with a second seed, to estimate the noise of the figures. ``noise_share``: a view of a
-    reconstruction is finished early once its remaining noise is at most this share of its squared difference
-    from the truth; None renders all with ``render``. ``atlas``: side in texels. ``camera``: every method
-    except the truth is also judged on photographs with these faults (names of ``camera_faults.PRESETS``,
-    "each" for every fault alone, or custom faults). ``modified_light`` and ``inserted`` are given by scene;
-    other scenes use the defaults. ``may_be_known``: checkpoints may have been trained on the scenes (a test
-    of the program, not of the checkpoints).
+    views of each scene are judged, i.e. compared with the truth. ``render``: quality of re-rendered views;
+    ``truth``: quality of the true views, which are then rendered separately from the photographs, once per
+    scene; None uses the photographs as truth, and their quality for other lights. ``seed_views``: number of
+    views, per set and light, that are rendered with a second seed to estimate the noise of the figures.
+    ``noise_share``: a view of a reconstruction is finished once its remaining noise is at most this share of
+    its squared difference from the truth; None: no early stop. ``atlas``: side in texels. ``camera``: every
+    method except the truth is also judged on photographs with these faults (names of
+    ``camera_faults.PRESETS``, "each" for every fault alone, or custom faults). ``modified_light`` and
+    ``inserted`` are given by scene; other scenes use the defaults. ``may_be_known``: checkpoints may have
+    been trained on the scenes (a test of the program, not of the checkpoints).
     """
 
     format: Literal["scene-materials/suite"] = "scene-materials/suite"

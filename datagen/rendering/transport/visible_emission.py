@@ -16,11 +16,9 @@ from numpy.typing import NDArray
 
 from datagen.rendering.transport.emitters import SceneEmitters
 from datagen.rendering.transport.vertex import MAX_CROSSINGS
+from mitsuba_plugins.lattice import generator, lattice_point
 
 Array = Any
-
-LATTICE = (0.7548776662466927, 0.5698402909980532)
-"""Steps of the R2 sequence: 1/g and 1/g^2 with g^3 = g + 1."""
 
 
 def render_visible_emission(
@@ -30,26 +28,32 @@ def render_visible_emission(
     width, height = (int(v) for v in sensor.film().crop_size())
     with dr.suspend_grad():
         count = dr.opaque(mi.UInt32, num_samples)
-        radiance = _summed(emitters, sensor, mi.UInt32(pixels), (width, height), count, seed)
+        step = tuple(dr.opaque(mi.UInt32, part) for part in generator(num_samples))
+        radiance = _summed(emitters, sensor, mi.UInt32(pixels), (width, height), count, step, seed)
         dr.eval(radiance)
     return np.ascontiguousarray((np.array(radiance) / num_samples).T.astype(np.float32))
 
 
 @dr.syntax
 def _summed(
-    emitters: Any, sensor: Any, pixel: Array, size: tuple[int, int], num_samples: Array, seed: int
+    emitters: Any,
+    sensor: Any,
+    pixel: Array,
+    size: tuple[int, int],
+    num_samples: Array,
+    step: tuple[Array, ...],
+    seed: int,
 ) -> Array:
     width, height = size
     key: Any = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
-    bits_x, bits_y = mi.sample_tea_32(pixel, key)
-    shift_x, shift_y = mi.Float(bits_x >> 8) * 2.0**-24, mi.Float(bits_y >> 8) * 2.0**-24
+    shift_x, shift_y = mi.sample_tea_32(pixel, key)
     row: Any = pixel // width
     left, top = mi.Float(pixel - row * width), mi.Float(row)
     result = dr.zeros(mi.Color3f, dr.width(pixel))
     i = dr.zeros(mi.UInt32, dr.width(pixel))
     while i < num_samples:
-        x, y = shift_x + mi.Float(i) * LATTICE[0], shift_y + mi.Float(i) * LATTICE[1]
-        position = mi.Point2f((left + x - dr.floor(x)) / width, (top + y - dr.floor(y)) / height)
+        x, y = lattice_point(i, shift_x, step[0]), lattice_point(i, shift_y, step[1])
+        position = mi.Point2f((left + x) / width, (top + y) / height)
         ray, _ = sensor.sample_ray(mi.Float(0.0), mi.Float(0.5), position, mi.Point2f(0.5))
         result += _emission_ahead(emitters, ray)
         i += 1
