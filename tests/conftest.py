@@ -20,8 +20,8 @@ LONGEST = (
     "model/test_reconstruction_infer.py",
     "model/test_light_network_scale.py",
 )
-"""Files that take over 90 s, started first so that none runs alone at the end. Only one of the first three
-reconstructs, since concurrent reconstructions would each compile the same loops."""
+"""Test files of over 90 s. They start first, so that none runs alone at the end. Only one of the first three
+runs a reconstruction, because concurrent processes would each compile the same Numba loops."""
 SHARED_DATA = Path(os.environ.get("SCENE_DATA", REPOSITORY.parent / "shared" / "data"))
 
 

@@ -13,12 +13,12 @@ from tests.hostile import Case, CaseMaker, set_traps
 
 
 def opens_outside(folder: Path) -> Case:
-    """Reader of a file outside of the folder."""
+    """Reader of a file outside the folder."""
     return Case(lambda rng: Path("/etc/hostname"), lambda path: path.read_bytes())
 
 
 def follows_links(folder: Path) -> Case:
-    """Reader of the target of a link in the folder."""
+    """Reader that follows a link in the folder to a file outside."""
     set_traps(folder)
     return Case(lambda rng: folder / "link.png", lambda path: path.read_bytes())
 
@@ -30,7 +30,7 @@ def unpickles(folder: Path) -> Case:
 
 
 def aborts(folder: Path) -> Case:
-    """Reader that aborts the process as native code may."""
+    """Reader that aborts the process, as native code may."""
     return Case(lambda rng: folder, lambda path: os.abort())
 
 

@@ -2,9 +2,9 @@
 """Attacks readers with damaged and malicious files, which must yield a valid object or a clear error.
 
 A case writes one input into a folder and reads it. :func:`attack` runs a case many times in a child process,
-so that crashes of native libraries and endless loops do not end the tests. In the child a reader may open,
-list, make or remove files only in the case's folder, look up no global of a pickle, and start no process or
-connection.
+so that crashes of native libraries and endless loops do not end the tests. In the child, an audit hook lets a
+reader open, list, make and remove files only in the case's folder, and forbids it to unpickle objects, start
+processes and open connections.
 
 ``HOSTILE_EXAMPLES=20000`` sets the number of inputs per case. To repeat one input in the same process:
 
@@ -76,7 +76,7 @@ PRELOADED = ("tests.datagen.hostile_cases", "tests.model.hostile_cases")
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of an attack: numbers of accepted and refused inputs, peak memory and CPU time of the child."""
+    """Outcome of an attack: numbers of accepted and refused inputs, the child's peak memory and CPU time."""
 
     name: str
     accepted: int
@@ -89,7 +89,7 @@ class Outcome:
 
 
 def mutate(document: Any, rng: random.Random) -> Any:
-    """A JSON document with one to four values replaced, removed, added or repeated."""
+    """Return a JSON document with up to four values replaced, removed, added or repeated."""
     document = copy.deepcopy(document)
     if rng.random() < PRISTINE:
         return document
@@ -112,7 +112,7 @@ def mutate(document: Any, rng: random.Random) -> Any:
 
 
 def hostile_value(rng: random.Random) -> Any:
-    """A value that readers often mishandle."""
+    """Return a value that readers often mishandle."""
     return copy.deepcopy(rng.choice(HOSTILE_VALUES))
 
 
@@ -124,14 +124,14 @@ def _collect(value: Any, places: list[tuple[Any, Any]]) -> None:
 
 
 def damage(data: bytes, rng: random.Random) -> bytes:
-    """The bytes with flipped, truncated, repeated or overwritten parts."""
+    """Return the bytes with flipped, truncated, repeated or overwritten parts, or rarely unchanged."""
     content = bytearray(data)
     if rng.random() < PRISTINE:
         return data
     for _ in range(rng.randint(1, 5)):
         if not content:
             return b""
-        # Headers matter more than pixels.
+        # A share of the damage is confined to the header, where it has more effect than in pixels.
         end = len(content) if rng.random() < 0.6 else min(len(content), 256)
         position = rng.randrange(end)
         action = rng.random()
@@ -168,7 +168,7 @@ def write_document(path: Path, document: Any, rng: random.Random) -> Path:
 
 
 def set_traps(folder: Path) -> None:
-    """Create the targets of hostile file names: links that lead outside and pipes without a writer."""
+    """Create links that lead out of the folder and pipes without a writer, as targets of hostile names."""
     outside = folder.parent / "outside"
     outside.mkdir(exist_ok=True)
     for suffix in ("png", "ply", "json"):
@@ -202,7 +202,7 @@ class _Guard:
             num_paths, first_descriptor = _PATH_EVENTS[event]
             for index, path in enumerate(arguments[:num_paths]):
                 if not isinstance(path, str | bytes):
-                    continue  # a descriptor, whose opening was audited
+                    continue  # a descriptor; its opening has been audited
                 name = os.fsdecode(path)
                 if first_descriptor and arguments[first_descriptor + index] not in (-1, None):
                     name = f"/proc/self/fd/{arguments[first_descriptor + index]}/{name}"
@@ -269,7 +269,7 @@ def run_one(case: Case, guard: _Guard, number: int) -> bool:
 def _make(module: str, name: str, folder: Path) -> tuple[Case, _Guard]:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "tmp").mkdir(exist_ok=True)
-    tempfile.tempdir = str(folder / "tmp")  # unpacked members count as inside
+    tempfile.tempdir = str(folder / "tmp")  # unpacked members are then inside the folder
     case = importlib.import_module(module).CASES[name](folder)
     guard = _Guard(folder)
     sys.addaudithook(guard.hook)
@@ -289,7 +289,7 @@ def _child(module: str, name: str, folder: Path, examples: int, progress: Any, c
         @starting_at(SEED)
         @settings(
             max_examples=examples,
-            deadline=None,  # the parent limits the time, also of native code
+            deadline=None,  # the parent limits the time, including that of native code
             database=None,
             phases=[Phase.generate],
             suppress_health_check=list(HealthCheck),
@@ -317,15 +317,15 @@ def _log(folder: Path) -> Path:
 def attack(
     module: str, name: str, folder: Path, examples: int = EXAMPLES, max_bytes: int = MAX_BYTES
 ) -> Outcome:
-    """Run a case ``examples`` times; a crash, a hang, too much memory or another fault fails the test."""
+    """Run a case ``examples`` times; fail the test on a crash, a hang, excessive memory or another fault."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(PRELOADED))
     progress = RawArray("Q", 2)
     ours, theirs = context.Pipe(duplex=False)
     arguments = (module, name, folder, examples, progress, theirs)
     process = context.Process(target=_child, args=arguments, daemon=True)
-    with mock.patch.dict(os.environ, OPENBLAS_NUM_THREADS="1"):  # threads slow down 4 x 4 matrices
-        process.start()  # the first child starts the fork server, whose environment all inherit
+    with mock.patch.dict(os.environ, OPENBLAS_NUM_THREADS="1"):  # threads only slow down 4 x 4 matrices
+        process.start()  # the first child starts the fork server, whose environment all children inherit
     theirs.close()
     again = f"again: python -m tests.hostile {module} {name}"
     count, watch = 0, _Watch(process.pid)
@@ -368,8 +368,8 @@ def attack(
 
 
 class _Watch:
-    """Measures the time of one input: processor time, since other load may delay the child, and wall time
-    while it sleeps."""
+    """Measures the memory of a child and the time of one input: processor time, which other load does not
+    affect, or wall time while the child sleeps."""
 
     def __init__(self, pid: int | None):
         self.process = psutil.Process(pid)

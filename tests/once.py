@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Results that one process of a test run computes and the others read."""
+"""Results that one process of a test run computes and the other processes read from a file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _FOLDERS: list[Path] = []
 
 
 def keep_in(folder: Path) -> None:
-    """Keep results in ``folder``, the same for all processes of the test run."""
+    """Keep results in ``folder``, which must be the same for all processes of the test run."""
     folder.mkdir(exist_ok=True)
     _FOLDERS[:] = [folder]
 

@@ -52,7 +52,7 @@ def scene(path: Path, *body: str) -> Path:
 
 
 def _diamond(folder: Path) -> Path:
-    """41 BSDFs, all but the last of which refer to the next twice: 2^40 paths."""
+    """41 BSDFs, each of which refers to the next one twice: 2^40 paths through the graph."""
     bsdfs = ['<bsdf type="diffuse" id="b40"/>']
     bsdfs += [
         f'<bsdf type="blendbsdf" id="b{k}"><float name="weight" value="0.5"/>'
@@ -63,7 +63,7 @@ def _diamond(folder: Path) -> Path:
 
 
 def _doubling(folder: Path) -> Path:
-    """Defaults that double thirty times: 8 GB of text."""
+    """Thirty ``default`` elements, each of which doubles the previous one: 8 GB of text."""
     lines = ['<default name="a0" value="12345678"/>']
     lines += [f'<default name="a{k + 1}" value="$a{k}$a{k}"/>' for k in range(30)]
     return scene(folder / "scene.xml", *lines, _SHAPE.format('<string name="filename" value="$a30"/>'))
@@ -132,7 +132,7 @@ def _gltf_nodes(folder: Path) -> Path:
 
 
 def _gltf_primitives(folder: Path) -> Path:
-    """20,000 primitives that share one accessor."""
+    """20,000 primitives that share their accessors."""
     return gltf(
         folder, {"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}] * 20_000}]}
     )
@@ -145,7 +145,7 @@ def _gltf_chain(folder: Path) -> Path:
 
 
 def _gltf_matrix(folder: Path) -> Path:
-    """A node's matrix of 3 instead of 16 numbers."""
+    """A node matrix of three numbers."""
     return gltf(folder, {"nodes": [{"mesh": 0, "matrix": [1, 0, 0]}]})
 
 
@@ -169,7 +169,7 @@ def _gltf_sparse(folder: Path) -> Path:
 
 
 def furniture(path: Path, pieces: list[str], members: dict[str, bytes]) -> Path:
-    """Write a Sweet Home 3D library with a piece for each named model, and members."""
+    """Write a Sweet Home 3D library with one piece per name in ``pieces`` and the files ``members``."""
     lines = ["id=strangers#1", "provider=a stranger"]
     for number, model in enumerate(pieces, start=1):
         lines += [
@@ -189,7 +189,7 @@ def furniture(path: Path, pieces: list[str], members: dict[str, bytes]) -> Path:
 
 
 def _furniture(folder: Path) -> Path:
-    """0.2 MB that expand to 167 MB, in members of 56 MB."""
+    """A library of 0.2 MB that expands to 167 MB, in members of 56 MB."""
     model = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
     filler = model + b"v 0 0 0\n" * ((55_666_667 - len(model)) // 8)
     return furniture(
@@ -241,7 +241,7 @@ FILES: dict[str, tuple[Callable[[Path], Path], tuple[str, ...]]] = {
     "transforms_frames": (_frames, CHECK),
     "transforms_empty_frames": (_empty_frames, CHECK),
 }
-"""Writers of hostile files, each with the command that reads its file."""
+"""Writer of each hostile file, and the command that reads the file."""
 
 
 def run(
@@ -285,8 +285,9 @@ def run(
 
 
 def _peak_bytes(pid: int) -> int:
-    """Peak resident bytes of a process since its start, or 0 where unknown; ``wait4`` would include memory of
-    its parent at the fork."""
+    """Return the peak resident bytes of a process since its start, or 0 if unknown.
+
+    ``wait4`` would include the memory of its parent at the fork."""
     try:
         status = Path(f"/proc/{pid}/status").read_text()
     except OSError:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A small real file system for tests that can be filled or mounted read-only, even for root."""
+"""A small real file system for tests, which can be filled or mounted read-only, even for root."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ class SmallDisk:
         self._ballast.unlink()
 
     def remount(self, options: str) -> None:
-        """Change the mount: ``ro`` or ``rw``."""
+        """Mount the disk read-only (``ro``) or writable (``rw``)."""
         subprocess.run(["mount", "-o", f"remount,{options}", str(self.root)], check=True, capture_output=True)
 
 
 @contextmanager
 def small_disk(root: Path, megabytes: int) -> Iterator[SmallDisk]:
-    """Mount a file system of this size at ``root`` within the context; skips the test where not permitted."""
+    """Mount a file system of this size at ``root`` within the context; skip the test if that is forbidden."""
     root.mkdir(parents=True)
     mount = ["mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "tmpfs", str(root)]
     try:

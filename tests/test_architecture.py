@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Architecture: allowed imports between packages, start-up cost, licences, schemas."""
+"""Architecture: allowed imports between packages, start-up cost, licences and schemas."""
 
 from __future__ import annotations
 
@@ -147,8 +147,8 @@ def _modules() -> frozenset[str]:
 
 @dataclass(frozen=True)
 class _Source:
-    """A parsed file. ``imports``: absolute names of modules that it imports anywhere but for type checking;
-    ``froms``: line, module and names of each absolute ``from`` import; ``names``: names that it binds."""
+    """A parsed file. ``imports`` are the absolute names of modules that it imports, except for type checking;
+    ``froms`` are line, module and names of each ``from`` import; ``names`` are all names that it binds."""
 
     imports: frozenset[str]
     froms: tuple[tuple[int, str, tuple[str, ...]], ...]
@@ -156,7 +156,7 @@ class _Source:
 
 
 def _statements(tree: ast.Module) -> Iterator[tuple[ast.AST, bool]]:
-    """Yield the statements of a module, also within functions, and whether each is for type checking only."""
+    """Yield each statement of a module, including those in functions, and whether it is for type checking."""
     left: list[tuple[ast.AST, bool]] = [(tree, False)]
     while left:
         node, is_typing = left.pop()
@@ -195,7 +195,7 @@ def _imports(path: Path) -> frozenset[str]:
 
 
 def _names_of(module: str) -> frozenset[str]:
-    """Names that a module of the project binds, and its submodules."""
+    """Names that a module of the project binds."""
     path = REPOSITORY.joinpath(*module.split("."))
     file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     return _source(file).names if file.is_file() else frozenset()
@@ -206,17 +206,17 @@ def _is_in(name: str, *packages: str) -> bool:
 
 
 def _row(module: str, matrix: dict[str, frozenset[str]]) -> str | None:
-    """The most specific package of the matrix that contains a module."""
+    """The most specific package of the matrix that contains a module, or None."""
     return max((package for package in matrix if _is_in(module, package)), key=len, default=None)
 
 
 def _outside(matrix: dict[str, frozenset[str]]) -> list[str]:
-    """Imports between the project's modules that a matrix does not allow, and modules without a row."""
+    """Imports between the project's modules that the matrix does not allow, and modules without a row."""
     found = []
     for path in _sources():
         module, names = _module(path), _imports(path)
         if module in ("datagen", "model", "model.reconstruction", "scenes"):
-            continue  # only a docstring
+            continue  # contains only a docstring
         package = _row(module, matrix)
         if package is None:
             found.append(f"{module} has no row in the matrix")
@@ -248,7 +248,7 @@ def test_every_import_is_in_the_matrix() -> None:
     ],
 )
 def test_the_matrix_can_fail(package: str, withdrawn: str) -> None:
-    """Injected fault: without a permission, exactly the imports that need it are found."""
+    """Injected fault: if a permission in use is withdrawn, exactly the imports that need it are reported."""
     found = _outside({**MATRIX, package: MATRIX[package] - {withdrawn}})
     assert found
     for line in found:
@@ -266,7 +266,7 @@ def test_every_permission_is_used() -> None:
 
 
 def test_modules_import_each_other_in_no_circle() -> None:
-    """Imports within functions count; ``static_order`` raises an error at a circle."""
+    """``static_order`` raises CycleError for a cycle; imports within functions count."""
     imported = {_module(path): _imports(path) & _modules() for path in _sources()}
     assert set(TopologicalSorter(imported).static_order()) == _modules()
     module, (name, *_) = next((m, sorted(names)) for m, names in imported.items() if names)
@@ -280,11 +280,11 @@ def test_a_package_without_a_row_is_found() -> None:
 
 
 def test_the_matrix_has_no_cycle() -> None:
-    """Packages can be ordered such that each imports only earlier ones, except for rows that permit whole
-    packages."""
+    """Packages can be ordered such that each imports only earlier ones. Top-level commands are exempt, and so
+    are rows that allow whole packages."""
     left = {package: _rows_of(allowed) - {package} for package, allowed in MATRIX.items()}
     for command in ("model.cli", "model.reconstruction.commands"):
-        left.pop(command)  # at the top, and imported by none
+        left.pop(command)  # at the top: no package imports it
     for package in ("benchmarks", "tests", "tests.benchmarks", "model.evaluation"):
         left[package] = set()
     while left:
@@ -295,7 +295,7 @@ def test_the_matrix_has_no_cycle() -> None:
 
 
 def test_every_imported_name_exists() -> None:
-    """Imports within functions count, where faults could stay unnoticed."""
+    """Imports within functions are included, since no other check may run them."""
     missing = []
     for path in _sources():
         for line, module, names in _source(path).froms:
@@ -310,7 +310,7 @@ def test_every_imported_name_exists() -> None:
 
 
 def _private(tree: ast.Module) -> list[str]:
-    """Private names that code uses as an attribute, an import, or an argument of ``setattr`` or ``patch``."""
+    """Private members that code accesses as attributes, by import, or by name in ``setattr`` or ``patch``."""
     found = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute) and ast.unparse(node.value) not in ("self", "cls", "os"):

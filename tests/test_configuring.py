@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Recipes, suites and presets: schemas, positions of faults, and recipes written by `datagen recipe new`."""
+"""Recipes, suites and presets: schemas, positions of faults, and recipes made by answering questions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WRITTEN = sorted(
 
 
 def _keys_are_known(schema: dict, node: object, root: dict) -> list[str]:
-    """Keys of a document that are not in its schema, as an editor would mark them."""
+    """Return the keys of ``node`` that its schema lacks, which an editor would mark."""
     if "$ref" in schema:
         schema = root["$defs"][schema["$ref"].removeprefix("#/$defs/")]
     if "anyOf" in schema or "oneOf" in schema:

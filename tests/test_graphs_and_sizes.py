@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Every reader returns an object or raises an InputError for random graphs and sizes, in 10 s and 1 GB.
+"""Every reader returns an object or raises InputError for random graphs and sizes, within 10 s and 1 GB.
 
-The long run reads 5,000 inputs per reader (``-m slow``); ``HOSTILE_EXAMPLES`` sets it for the short one.
+The slow tests (``-m slow``) read 5,000 inputs per reader; ``HOSTILE_EXAMPLES`` sets the number of the others.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The attack on readers finds known faults."""
+""":func:`tests.hostile.attack` finds the fault of each reader in :mod:`tests.faulty_readers`."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Texts of messages: empty files are named as such, differing fields are listed, ids are not truncated."""
+"""Messages: empty files are called empty, differing documents are listed by field, ids are not truncated."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_repeated_problems_are_reported_once() -> None:
 
 
 def test_differences_are_reported_per_leaf() -> None:
-    """Regression: whole dictionaries were printed."""
+    """Regression: for a difference in one field, the whole dictionary was printed."""
     old = {"name": "a", "render": {"path_samples": 4, "quality": None, "error": {"a": 1}}, "sizes": [1, 2]}
     new = {"name": "a", "render": {"path_samples": 8, "quality": "draft", "error": {"a": 1}}, "sizes": [1, 3]}
     assert differences(old, new) == [

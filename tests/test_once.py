@@ -17,7 +17,7 @@ from tests.once import once
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no file locks")
 def test_a_result_is_made_once(tmp_path: Path) -> None:
-    """Other callers wait for the result; a failed attempt leaves nothing."""
+    """Of several threads, one makes the result and the others wait; a failed attempt leaves nothing."""
     made, a_second = [], Barrier(2)
 
     def fail() -> np.ndarray:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Small files that expand enormously are refused within 10 s and 1 GB, with the limit and how to raise it."""
+"""Small files that expand enormously are refused within 10 s and 1 GB; messages name the limit to raise."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ EXPECTED = {
     "transforms_frames": "values",
     "transforms_empty_frames": "frames",
 }
-"""Limit that the refusal of each file names, or the fault if the file is wrong at any size."""
+"""Limit named by the refusal of each file, or the fault of a file that is invalid at any size."""
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -48,7 +48,7 @@ def test_reading_ends_soon_and_names_the_limit_to_raise(name: str, tmp_path: Pat
 
 
 def test_a_limit_is_raised_by_the_environment(tmp_path: Path) -> None:
-    """With the limit raised as the message advises, the same file is read."""
+    """The same file is read if the limit is raised as the message advises."""
 
     def write(folder: Path) -> Path:
         chain = [{"children": [k + 1]} for k in range(150)]
@@ -81,7 +81,7 @@ def test_the_size_of_a_file_raises_its_limits(tmp_path: Path) -> None:
     path.write_bytes(bytes(800))
     budget = Budget(path, Limits(triangles=10, instances=10))
     for _ in range(2):
-        budget.hold_file(path)  # counts only once
+        budget.hold_file(path)  # a file counts only once
     budget.spend("triangles", 110)
     with pytest.raises(InputError, match=r"triangles = 111 or more; expected at most 110 .*\(10 plus an"):
         budget.spend("triangles")
@@ -90,7 +90,7 @@ def test_the_size_of_a_file_raises_its_limits(tmp_path: Path) -> None:
 
 
 def test_deep_nesting_is_read_where_the_limit_is_raised(tmp_path: Path) -> None:
-    """Readers are recursive, so the limit also raises the interpreter's stack."""
+    """Readers are recursive, so raising the limit also raises the interpreter's recursion limit."""
     from datagen.importers.common import ImportOptions
     from datagen.importers.mitsuba_xml import import_mitsuba_scene
 

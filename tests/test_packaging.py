@@ -20,7 +20,7 @@ from tests.conftest import REPOSITORY
 
 if sys.version_info >= (3, 11):
     import tomllib
-else:  # pytest installs it there
+else:  # a dependency of pytest on these versions
     import tomli as tomllib
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
@@ -33,9 +33,9 @@ MODULES = {
 }  # fmt: skip
 """Import names that differ from the names of their distributions."""
 BROUGHT_ALONG = {"drjit": "mitsuba", "mathutils": "bpy", "bpy_extras": "bpy"}
-"""Modules that come with another distribution, whose version fixes theirs."""
+"""Modules installed by another distribution, which determines their version."""
 PROVIDED = {"tensorboard": "torch.utils.tensorboard"}
-"""Packages imported through a module of another distribution."""
+"""Distributions that are imported only through a module of another one."""
 
 
 def _names(requirements: list[str]) -> set[str]:
@@ -43,7 +43,7 @@ def _names(requirements: list[str]) -> set[str]:
 
 
 def _imported() -> dict[str, str]:
-    """One importing file of each external module that the packages import, by full and top-level name."""
+    """Map the external modules that the packages import, by full and top-level name, to an importing file."""
     found: dict[str, str] = {}
     for package in PACKAGES:
         for path in sorted((REPOSITORY / package).rglob("*.py")):
@@ -65,7 +65,7 @@ def _module_of(distribution: str) -> str:
 
 
 def test_the_packages_import_every_dependency() -> None:
-    """Dependencies of tests, benchmarks or documentation alone belong in the developers' extras."""
+    """Only users' extras are checked: the others contain tools of tests, benchmarks and documentation."""
     imported = _imported()
     user_extras = [PROJECT["optional-dependencies"][extra] for extra in USER_EXTRAS]
     for distribution in _names([*PROJECT["dependencies"], *(r for extra in user_extras for r in extra)]):
@@ -127,7 +127,7 @@ def test_bundled_files_are_found_by_name(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_missing_data_files_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`datagen doctor` reports them, too. Regression: it accepted a package without the library."""
+    """`datagen doctor` reports them too. Regression: it accepted a package without the library."""
     from datagen.foundation import bundled
     from datagen.inspection import doctor
 
@@ -145,7 +145,7 @@ def test_missing_data_files_are_reported(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_the_doctor_prints_the_extra_of_a_remedy(capsys: pytest.CaptureFixture[str]) -> None:
-    """Rich interprets square brackets as styles."""
+    """The brackets of an extra must be escaped, because Rich interprets square brackets as styles."""
     from datagen.inspection.doctor import Finding, print_report
 
     remedy = "pip install 'scene-materials[train]'"
