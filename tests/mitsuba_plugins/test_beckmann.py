@@ -11,14 +11,14 @@ from oracles.bsdf_probe import ANGLES_RAD, EPS, ROUGHNESS, array, dr, mi, unit_f
 
 from mitsuba_plugins import beckmann  # isort: skip  (after the variant is chosen)
 
-# Largest error in eps = 2^-23, per quantity; D's grows with its exponent x = tan^2 / alpha^2, since exp(-x)
-# multiplies the rounding of x by x. docs/bsdf.md repeats this table.
+# Maximum relative error in eps = 2^-23. That of D grows with the exponent x = tan^2 / alpha^2, since exp(-x)
+# multiplies the relative rounding error of x by x. docs/bsdf.md repeats this table.
 MAX_ERROR_EPS = {"D / (1 + x)": 4.0, "G1 / cos": 3.0}
 ALPHAS = np.unique(oracle.alpha_from_roughness(ROUGHNESS).astype(np.float32))
 
 
 def _slopes(rng: np.random.Generator, alpha: np.ndarray, num: int) -> np.ndarray:
-    """Random half vectors with slopes of a few alpha, and some anywhere in the hemisphere."""
+    """Random unit half vectors: 70 % with slopes of up to a few alpha, the others uniform on the sphere."""
     slopes = rng.normal(size=(num, 2)) * alpha[:, None] * rng.choice([0.0, 0.1, 0.7, 2.0], num)[:, None]
     h = np.stack([-slopes[:, 0], -slopes[:, 1], np.ones(num)], -1)
     everywhere = oracle.direction(np.arccos(rng.uniform(-1, 1, num)), rng.uniform(0, 2 * np.pi, num))
@@ -66,7 +66,7 @@ def test_masking_agrees_with_the_oracle_down_to_the_horizon() -> None:
 
 @pytest.mark.parametrize("alpha", ALPHAS)
 def test_projected_density_integrates_to_one(alpha: np.float32) -> None:
-    """Integral of D cos over the hemisphere is 1: microfacets cover the surface exactly once."""
+    """The integral of D cos over the hemisphere is 1: microfacets cover the surface exactly once."""
     h, weight = oracle.slopes_grid(float(alpha), num=300, reach=6.0)
     density = array(beckmann.beckmann_d(vector(h), mi.Float(alpha))).astype(np.float64)
     assert np.sum(density * h[:, 2] * weight) == pytest.approx(1.0, abs=1e-5)
@@ -75,12 +75,12 @@ def test_projected_density_integrates_to_one(alpha: np.float32) -> None:
 @pytest.mark.parametrize("alpha", [0.001, 0.09, 0.5, 1.0])
 @pytest.mark.parametrize("angle_deg", [0.0, 40.0, 80.0, 89.0])
 def test_visible_normals_integrate_to_one(alpha: float, angle_deg: float) -> None:
-    """By Heitz 2014, the visible area of the masked microsurface equals that of the surface."""
+    """The projected area of the visible microfacets equals that of the surface (Heitz 2014)."""
     w = oracle.direction(np.array([np.radians(angle_deg)]), np.array([0.4]))
     h, weight = oracle.slopes_grid(alpha, num=1000, reach=6.0)
     w_all = np.repeat(w, len(h), 0)
     density = array(beckmann.visible_normal_pdf(vector(w_all), vector(h), mi.Float(alpha))).astype(np.float64)
-    # The slope at which normals become invisible is a kink: the grid's error is of second order there.
+    # The integrand has a kink where normals become invisible, which limits quadrature to second order.
     assert np.sum(density * weight) == pytest.approx(1.0, abs=3e-4)
 
 
@@ -106,13 +106,13 @@ def test_sampled_normals_are_finite_unit_and_visible_everywhere() -> None:
     assert np.all(np.isfinite(h))
     np.testing.assert_allclose(np.linalg.norm(h, axis=1), 1.0, atol=4 * EPS)
     assert h[:, 2].min() > 0.0
-    # On the viewer's side up to rounding of the reflection.
+    # The half vector is on the viewer's side, up to rounding.
     assert np.sum(w * h, 1).min() > -4 * EPS
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 0.8, 1.4, np.pi / 2 - 1e-4, np.pi / 2 - 1e-6])
 def test_sampled_slopes_follow_the_distribution_function(angle_rad: float) -> None:
-    """Heitz & d'Eon's distribution function at the sampled slope is the variate (float64, alpha = 1)."""
+    """Heitz & d'Eon's distribution function, in float64, maps the sampled slope back to its variate."""
     from scipy.special import erf
 
     u = ((np.arange(4000) + 0.5) / 4000).astype(np.float32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Any position has a cell of the table."""
+"""Every position, including infinities and NaN, is mapped to a cell within the table."""
 
 from __future__ import annotations
 

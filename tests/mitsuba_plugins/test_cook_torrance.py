@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The BSDF ``cook_torrance``: oracle, identities, furnace, gradients, both sides, and bad input."""
+"""The BSDF ``cook_torrance``: oracle, identities, white furnace, gradients, both sides, and bad input."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from oracles.bsdf_probe import (
     vector,
 )
 
-# Largest error in eps, divided by 1 + x with x = tan^2(theta_h) / alpha^2, the exponent of D. The value's is
-# larger than the density's because Fresnel's fifth power multiplies the rounding of 1 - cos by five.
+# Maximum relative error in eps, divided by 1 + x with x = tan^2(theta_h) / alpha^2, the exponent of D. The
+# value is less accurate than the density because Schlick's fifth power multiplies the error of 1 - cos by 5.
 MAX_ERROR_EPS = {"value": 16.0, "pdf": 8.0, "weight": 16.0}
 MAX_EXPONENT = 80.0
 MAX_WEIGHT = 10.0
@@ -32,7 +32,7 @@ CTX = mi.BSDFContext()
 
 
 def _directions(rng: np.random.Generator, roughness: np.ndarray, num: int) -> tuple[np.ndarray, np.ndarray]:
-    """Direction pairs rounded to float32: two thirds in the lobe, the others anywhere above the horizon."""
+    """Return wi and wo (num, 3), rounded to float32; two thirds of wo are in the specular lobe."""
     wi = oracle.direction(rng.choice(ANGLES_RAD, num), rng.uniform(0, 2 * np.pi, num))
     alpha = oracle.alpha_from_roughness(roughness)[:, None]
     slope = rng.normal(size=(num, 2)) * alpha * rng.choice([0.1, 0.7, 1.4], num)[:, None]
@@ -82,7 +82,7 @@ def test_value_and_density_agree_with_the_oracle() -> None:
 
 
 def test_oracle_against_a_second_derivation() -> None:
-    """The oracle equals the formula written in cosines where those are accurate."""
+    """The oracle equals the formula in terms of cosines, at angles where cosines are accurate."""
     rng = np.random.default_rng(22)
     num = 4000
     wi, wo = (oracle.direction(rng.uniform(0.1, 1.2, num), rng.uniform(0, 2 * np.pi, num)) for _ in range(2))
@@ -153,7 +153,7 @@ def test_specular_part_is_reciprocal() -> None:
 @pytest.mark.parametrize("roughness", [0.3, 0.6, 1.0])
 @pytest.mark.parametrize("angle_deg", [0.0, 50.0, 85.0])
 def test_density_integrates_to_at_most_one(roughness: float, angle_deg: float) -> None:
-    """The density integrates to 1 minus the share of reflections below the surface."""
+    """The density integrates to 1 minus the share of samples rejected because they are below the surface."""
     num_theta, num_phi = 800, 800
     cos = (np.arange(num_theta) + 0.5) / num_theta
     phi = 2 * np.pi * (np.arange(num_phi) + 0.5) / num_phi
@@ -174,7 +174,7 @@ def test_density_integrates_to_at_most_one(roughness: float, angle_deg: float) -
 
 @pytest.mark.parametrize("angle_deg", [0.0, 45.0, 75.0, 85.0])
 def test_white_furnace_against_quadrature(angle_deg: float) -> None:
-    """The mean sample weight is the directional albedo (Z-test per roughness); a 5 % error is detected."""
+    """The mean sample weight equals the directional albedo (Z-test per roughness); 5 % more is detected."""
     num = 100_000
     rng = np.random.default_rng(27)
     wi = oracle.direction(np.array([np.radians(angle_deg)]), np.array([1.1]))
@@ -206,7 +206,7 @@ def _two_sided_z(significance: float, num_tests: int) -> float:
 def _gradients(
     wi: np.ndarray, wo: np.ndarray, channels: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Derivatives, per lane, of eval summed over RGB with respect to D, S and R, by Dr.Jit."""
+    """Return Dr.Jit's derivatives of eval, summed over RGB, by D (N, 3), S (N, 3) and R (N,)."""
     num = len(wi)
     bsdf = material(*channels, num)
     parameters = mi.traverse(bsdf)
@@ -224,7 +224,7 @@ def test_gradients_agree_with_finite_differences_of_the_oracle() -> None:
     num = 40_000
     d = rng.uniform(0.05, 0.95, (num, 3)).astype(np.float32)
     s = rng.uniform(0.02, 0.95, (num, 3)).astype(np.float32)
-    # Away from the kink of alpha's clamp at sqrt(1e-3).
+    # Away from sqrt(1e-3), where the clamp of alpha has a kink.
     r = rng.choice(np.float32([0.04, 0.1, 0.3, 0.6, 0.95]), num)
     wi, wo = _directions(rng, r, num)
     exponent = (np.tan(oracle.theta(wi + wo)) / oracle.alpha_from_roughness(r)) ** 2
@@ -235,7 +235,7 @@ def test_gradients_agree_with_finite_differences_of_the_oracle() -> None:
     def value(dd: Any = 0.0, ds: Any = 0.0, dr_: Any = 0.0) -> np.ndarray:
         return oracle.eval_cos(wi, wo, d64 + dd, s64 + ds, r64 + dr_)
 
-    # Linear in D and, for fixed h, in S: a long step has no truncation error, only float64 rounding.
+    # The value is linear in D and S: a long step has no truncation error, only float64 rounding.
     step = 0.02
     rounding = 4 * np.finfo(np.float64).eps * value() / step
     for got, plus, minus in (
@@ -243,13 +243,13 @@ def test_gradients_agree_with_finite_differences_of_the_oracle() -> None:
         (grad_s, value(ds=step), value(ds=-step)),
     ):
         expected = (plus - minus) / (2 * step)
-        # The derivative with respect to S, F' spec - D cos / pi, may cancel: the error is relative to its
-        # larger term.
+        # The terms of the derivative by S, F' spec - D cos / pi, may cancel: the error is relative to at
+        # least 1 % of the value.
         scale = np.maximum(np.abs(expected), 1e-2 * value())
         assert np.max((np.abs(got - expected) - rounding)[checked] / scale[checked]) < 1e-3
     h = 1e-5 * r64
     expected_r = ((value(dr_=h) - value(dr_=-h)) / (2 * h[:, None])).sum(1)
-    # The derivative with respect to R crosses zero inside the lobe: the error is relative to value / R.
+    # The derivative by R crosses zero inside the lobe: the error is relative to at least value / R.
     scale = np.maximum(np.abs(expected_r), value().sum(1) / r64)[checked]
     assert np.max(np.abs(grad_r - expected_r)[checked] / np.maximum(scale, 1e-20)) < 1e-3
     assert checked.sum() > num / 3
@@ -267,7 +267,7 @@ def test_gradients_are_finite_everywhere() -> None:
 
 
 def test_parameters_at_the_ends_of_their_range_keep_their_gradient() -> None:
-    """Albedos of 0 or 1 and a roughness of 1 have one-sided derivatives."""
+    """At albedos of 0 or 1 and a roughness of 1, gradients are the one-sided derivatives into the range."""
     num = 4
     wi = np.repeat(unit_float32(oracle.direction(np.array([0.7]), np.array([0.0]))), num, 0)
     wo = wi * [-1, 1, 1]
@@ -334,7 +334,7 @@ def test_flags_match_the_reflecting_sides(two_sided: bool) -> None:
 
 
 def test_all_lanes_are_active_by_default() -> None:
-    """Calls without a mask equal calls with an all-true one; false lanes return zero."""
+    """Calls without a mask equal calls with an all-true mask; inactive lanes return zero."""
     wi, wo = (unit_float32(oracle.direction(np.array([a]), np.array([b]))) for a, b in ((0.5, 0.0), (0.3, 2)))
     bsdf, si = material(0.5, 0.3, 0.4), interaction(wi)
     lanes = [mi.Float(0.9), mi.Point2f(0.3, 0.4)]
@@ -380,7 +380,7 @@ def test_components_add_up() -> None:
 
 
 def test_each_lobe_has_its_separate_density() -> None:
-    """The diffuse lobe has density cos / pi, the specular one that of a purely specular surface."""
+    """The diffuse lobe has the density cos / pi, the specular lobe that of a purely specular surface."""
     rng = np.random.default_rng(33)
     wi, wo = _directions(rng, np.full(500, 0.5), 500)
     wo[:, 2] = np.maximum(wo[:, 2], 0.01)
@@ -416,7 +416,7 @@ def test_attributes_return_the_channels() -> None:
     assert bool(pointer.has_attribute("roughness")[0]) and not bool(pointer.has_attribute("metallic")[0])
     reflectance = array(bsdf.eval_diffuse_reflectance(si))[0]
     np.testing.assert_allclose(reflectance, np.array([0.1, 0.5, 0.9]) * 0.7, rtol=2 * EPS)
-    assert array(pointer.eval_attribute_1("metallic", si))[0] == 0.0  # as Mitsuba's BSDFs do
+    assert array(pointer.eval_attribute_1("metallic", si))[0] == 0.0  # unknown, as in Mitsuba's BSDFs
 
 
 def test_parameters_can_be_changed_and_differentiated() -> None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Sampling against density (chi-square) and renders against Mitsuba's BSDFs (Z-test).
 
-Each test is corrected for the number of tests (Sidak), and an injected 5 % error must be detected.
+Significance is corrected for the number of tests (Sidak), and an injected 5 % error must be detected.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mitsuba.chi2 import ChiSquareTest, SphericalDomain  # isort: skip  (needs t
 
 SIGNIFICANCE = 0.01
 ANGLES_DEG = (0.0, 30.0, 60.0, 80.0, 88.0)
-# Below 0.5 the lobe is narrower than a spherical grid's cells, so the grid is over slopes.
+# At these, the lobe is narrower than the cells of a spherical grid, so the histogram is over slopes.
 NARROW_ROUGHNESS = (0.0, 0.05, 0.15, 0.3)
 WIDE_ROUGHNESS = (0.5, 0.7, 1.0)
 NUM_SAMPLES = 200_000
@@ -26,9 +26,9 @@ NUM_CHI2_TESTS = len(ANGLES_DEG) * (len(NARROW_ROUGHNESS) + len(WIDE_ROUGHNESS))
 
 
 class SlopeDomain:
-    """Directions parametrised by half-vector slopes s: (1 - exp(-|s|^2 / alpha^2), azimuth / 2 pi).
+    """Directions parametrised by the half vector's slopes s: (1 - exp(-|s|^2 / alpha^2), azimuth / 2 pi).
 
-    Under D alone the first coordinate is uniform, so cells are filled uniformly at any alpha.
+    For half vectors of density D cos both are uniform, so cells are filled about equally at any alpha.
     """
 
     def __init__(self, wi: np.ndarray, alpha: float):
@@ -77,7 +77,7 @@ def _chi2_test(
     ctx = mi.BSDFContext()
     if (
         is_narrow or specular_only
-    ):  # only the specular lobe: the diffuse one would fill the last column of cells
+    ):  # only the specular lobe, because the diffuse one would fall into the last column of cells
         ctx.type_mask = +mi.BSDFFlags.GlossyReflection
     domain = SlopeDomain(wi, float(oracle.alpha_from_roughness(np.float64(roughness)))) if is_narrow else None
 
@@ -118,7 +118,7 @@ def test_samples_follow_their_density(angle_deg: float, roughness: float) -> Non
 @pytest.mark.parametrize("roughness", NARROW_ROUGHNESS[1:] + WIDE_ROUGHNESS)
 @pytest.mark.parametrize("angle_deg", ANGLES_DEG)
 def test_a_wrong_density_is_detected(angle_deg: float, roughness: float) -> None:
-    """Injected fault: the density's alpha is 5 % too small; the diffuse lobe, which dilutes it, is off."""
+    """Injected fault: the density's alpha is 5 % too small, without the diffuse lobe, which would hide it."""
     test = _chi2_test(angle_deg, roughness, roughness * np.sqrt(0.95), specular_only=True)
     assert not test.run(SIGNIFICANCE, NUM_CHI2_TESTS, quiet=True)
 
@@ -130,7 +130,7 @@ NUM_RENDERS = 24
 SPP = 96
 # Limit -> (channels, Mitsuba's BSDF).
 LIMITS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
-    # S = 1: Fresnel is 1 without a diffuse part, as for ideal mirror microfacets.
+    # At S = 1, the Fresnel term is 1 and there is no diffuse part, as for ideal mirror microfacets.
     "mirror, alpha 0.04": (
         {"diffuse_albedo": 0.7, "specular_albedo": 1.0, "roughness": 0.2},
         {"type": "roughconductor", "material": "none", "alpha": 0.04, "distribution": "beckmann"},
@@ -168,14 +168,14 @@ def _scene(bsdf: dict[str, Any]) -> Any:
 
 
 def _renders(bsdf: dict[str, Any], first_seed: int) -> np.ndarray:
-    """Independent renders of the same view, (NUM_RENDERS, pixels)."""
+    """Return the green channel of independent renders of one view, (NUM_RENDERS, pixels)."""
     scene = _scene(bsdf)
     images = [np.array(mi.render(scene, spp=SPP, seed=first_seed + i)) for i in range(NUM_RENDERS)]
     return np.stack(images)[..., 1].reshape(NUM_RENDERS, -1).astype(np.float64)
 
 
 def _largest_z(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
-    """Largest |Z| and its threshold: Welch's test per pixel, Sidak over the pixels of all limits."""
+    """Return the largest |t| of all pixels and its threshold: two-sample t-tests, with Sidak's correction."""
     from scipy.stats import t
 
     variance = (a.var(0, ddof=1) + b.var(0, ddof=1)) / NUM_RENDERS
@@ -197,11 +197,11 @@ def test_renders_like_roughconductor(limit: str) -> None:
 
 
 def test_diffuse_term_renders_like_diffuse() -> None:
-    """The diffuse component alone at S = 0 has the integrand of Mitsuba's diffuse but other sampling."""
+    """At S = 0 the diffuse component equals Mitsuba's ``diffuse``, although it is sampled differently."""
     import mitsuba_plugins.cook_torrance as module
 
     class DiffuseOnly(module.CookTorrance):
-        """cook_torrance without Fresnel, which must reduce to Lambert's law."""
+        """The diffuse component of ``cook_torrance``."""
 
         def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
             return super().eval_pdf(_diffuse_context(), si, wo, active)
@@ -230,7 +230,7 @@ def _diffuse_context() -> Any:
 
 @pytest.mark.parametrize("radiance", [1e-6, 1e6])
 def test_renders_scale_with_radiance(radiance: float) -> None:
-    """Scaling the light by 1e-6 or 1e6 scales the image of the same samples equally."""
+    """Scaling the light by 1e-6 or 1e6 scales the image by the same factor, given the same samples."""
     own = {"type": "cook_torrance", "diffuse_albedo": 0.5, "specular_albedo": 0.3, "roughness": 0.2}
 
     def render(level: float) -> np.ndarray:

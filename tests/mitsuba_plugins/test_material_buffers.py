@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Ground-truth buffers: exact on flat surfaces, and blended only at edges of blendable channels."""
+"""Ground-truth buffers are exact on flat surfaces; at edges, channels are blended, but not ids and depth."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _cook_torrance(channels: dict[str, Any], **options: Any) -> dict[str, Any]:
 
 
 def _sensor(rfilter: str = "box", to_world: Any = None, **options: Any) -> dict[str, Any]:
-    """A sensor looking down from z = 4; the image shows about 4 x 2.7 m of the plane z = 0."""
+    """Return a sensor looking down from z = 4 m; the image shows about 4 x 2.7 m of the plane z = 0."""
     film = {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT, "rfilter": {"type": rfilter}}
     film.update(options.pop("film", {}))
     to_world = to_world or T().look_at([0, 0, CAMERA_HEIGHT], [0, 0, 0], [0, 1, 0])
@@ -46,7 +46,7 @@ def _scene(**shapes: Any) -> Any:
 
 
 def _edge_scene(rfilter: str = "box") -> Any:
-    """A red plane that ends at x = 0.013, 1 m above a blue one."""
+    """Return a red plane that ends at x = 0.013 m, 1 m above a blue plane."""
     edge = T().translate([-9.987, 0, 1]).scale(10)
     return _scene(
         red=_plane(_cook_torrance(RED), edge), blue=_plane(_cook_torrance(BLUE)), sensor=_sensor(rfilter)
@@ -83,7 +83,7 @@ def test_flat_surface_equals_its_parameters() -> None:
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
 def test_depth_is_along_the_axis_at_the_pixels_centre(scale: float) -> None:
-    """A tilted camera above a plane, against the closed-form intersection, from millimetres to 10 km."""
+    """A tilted camera above a plane agrees with the closed-form intersection, from millimetres to 10 km."""
     eye, target = scale * np.array([1.0, -3.0, 2.5]), scale * np.array([0.2, 0.3, 0.1])
     to_world = T().look_at(eye.tolist(), target.tolist(), [0, 0, 1])
     sensor = _sensor(to_world=to_world, near_clip=1e-3 * scale, far_clip=1e3 * scale)
@@ -96,7 +96,7 @@ def test_depth_is_along_the_axis_at_the_pixels_centre(scale: float) -> None:
     ray = np.stack([(WIDTH / 2 - x) / focal_px, (HEIGHT / 2 - y) / focal_px, np.ones_like(x)], -1)
     ray_world = ray @ world_from_camera[:3, :3].T
     origin = world_from_camera[:3, 3]
-    depth = -origin[2] / ray_world[..., 2]  # the ray's parameter is depth
+    depth = -origin[2] / ray_world[..., 2]  # rays have z = 1 in camera space: their parameter is depth
     hits = (depth > 0) & (np.abs(origin + depth[..., None] * ray_world) < 50 * scale).all(-1)
     np.testing.assert_allclose(buffers["depth_z_m"][hits][:, 0], depth[hits], rtol=2e-5)
     expected = origin + depth[..., None] * ray_world
@@ -147,7 +147,7 @@ def test_pixel_filter_is_that_of_the_beauty_image(rfilter: str) -> None:
     ours = render_material_buffers(scene, spp=400)["surface_mask"][..., 0]
     aov = mi.load_dict({"type": "aov", "aovs": "albedo:albedo"})
     film = np.array(mi.render(scene, integrator=aov, spp=4000))[..., -3] / 0.5
-    # Ringing of negative lobes is clipped to [0, 1] in a mask.
+    # A filter's negative lobes make the film overshoot; masks are clipped to [0, 1].
     assert np.abs(ours - np.clip(film, 0, 1)).max() < 0.03
     box = render_material_buffers(_scene(floor=floor), spp=400)["surface_mask"][..., 0]
     is_the_same = np.abs(box - np.clip(film, 0, 1)).max() < 0.03
@@ -168,7 +168,7 @@ def test_sub_pixel_samples_are_even() -> None:
 
 
 def test_depth_of_field_is_that_of_the_beauty_image() -> None:
-    """A thin lens blurs the mask like Mitsuba's film; depth is measured through the lens centre."""
+    """A thin lens blurs the mask as in Mitsuba's film; depth is that of the ray through the lens centre."""
     tilted = T().translate([0.3, 0.1, 0]).rotate([0, 0, 1], 31).scale(0.9)
     white = {"diffuse_albedo": [0.5, 0.5, 0.5], "specular_albedo": [0.0, 0.0, 0.0], "roughness": 1.0}
     lens = _sensor("gaussian") | {"type": "thinlens", "aperture_radius": 0.3, "focus_distance": 2.5}
@@ -193,7 +193,7 @@ def test_emitters_and_background_are_masked() -> None:
     assert np.all(buffers["instance_id"][..., 0][is_lamp | is_sky] == 0)
     assert np.all(buffers["material_id"][..., 0] == np.where(is_lamp | is_sky, 0, 1))
     inner = mask[is_lamp | is_sky] == 0
-    assert inner.mean() > 0.5  # the others share their pixel with the floor
+    assert inner.mean() > 0.5  # the other pixels also show the floor
     for name in ("diffuse_albedo", "specular_albedo", "roughness", "normal_world"):
         assert np.all(buffers[name][mask == 0] == 0)
         expected = {"normal_world": [0, 0, 1]}.get(name, RED.get(name))
@@ -224,7 +224,7 @@ def test_masked_surfaces_blend_by_opacity(opacity: float) -> None:
 
 
 def test_cut_outs_show_surfaces_behind_them() -> None:
-    """A 0/1 opacity texture cuts out half of the plane."""
+    """An opacity texture of 0 and 1 cuts out half of the plane."""
     texels = np.zeros((2, 2, 1), np.float32)
     texels[:, 1] = 1.0
     opacity = {"type": "bitmap", "bitmap": mi.Bitmap(texels), "raw": True, "filter_type": "nearest"}
@@ -237,7 +237,7 @@ def test_cut_outs_show_surfaces_behind_them() -> None:
 
 
 def _lobe_normal(bsdf: Any, si: Any, num: int = 4096) -> np.ndarray:
-    """Shading normal of a smooth BSDF: the mean half vector of its samples, in si's frame."""
+    """Estimate the shading normal of a BSDF, in the frame of ``si``: the mean half vector of its samples."""
     rng = np.random.default_rng(3)
     wide = dr.gather(mi.SurfaceInteraction3f, si, dr.zeros(mi.UInt32, num))
     u = rng.uniform(size=(3, num)).astype(np.float32)
@@ -280,7 +280,7 @@ def test_normal_maps_tilt_the_rendered_normal(wrapping: str, is_back: bool, enco
 
 
 def test_back_faces_of_surfaces() -> None:
-    """Two-sided surfaces have equal channels and a normal towards the viewer; one-sided ones are black."""
+    """From behind, two-sided surfaces keep their channels and face the viewer; one-sided ones are black."""
     upside_down = T().rotate([1, 0, 0], 180).scale(10)
     buffers = render_material_buffers(_scene(floor=_plane(_cook_torrance(RED), upside_down)), spp=2)
     np.testing.assert_allclose(buffers["diffuse_albedo"][0, 0], RED["diffuse_albedo"], atol=1e-5)
@@ -299,7 +299,7 @@ def test_front_and_back_have_separate_materials() -> None:
 
 
 def test_textures_are_exact_texel_by_texel() -> None:
-    """With one texel per pixel and nearest and box filters, the buffer equals the texture."""
+    """With one texel per pixel, nearest-neighbour lookup and a box filter, the buffer equals the texture."""
     rng = np.random.default_rng(4)
     texels = rng.uniform(size=(HEIGHT, WIDTH, 1)).astype(np.float32)
     texture = {
@@ -315,7 +315,7 @@ def test_textures_are_exact_texel_by_texel() -> None:
     roughness = render_material_buffers(scene, spp=4)["roughness"]
     # Row 0 of a bitmap is at v = 0, the rectangle's lower side.
     matches = np.abs(roughness - texels[::-1])[1:-1, 1:-1] < 1e-3
-    assert matches.mean() > 0.99  # a sample may round across a texel's border
+    assert matches.mean() > 0.99  # rounding may move a sample across a texel's border
 
 
 def test_crop_window_equals_that_part_of_the_image() -> None:
@@ -353,7 +353,7 @@ def test_materials_are_created_once_for_all_views() -> None:
 
 
 def test_scenes_from_xml_have_distinct_ids() -> None:
-    """Mitsuba assigns no ids to shapes of an XML file."""
+    """The project numbers shapes without ids, since Mitsuba assigns none to the shapes of an XML file."""
     xml = """<scene version="3.0.0">
       <shape type="sphere"><bsdf type="cook_torrance"/></shape>
       <shape type="cube"><bsdf type="cook_torrance"/></shape>

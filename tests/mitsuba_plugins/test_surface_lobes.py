@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Lobes of a hit, evaluated without an indirect call, against Mitsuba's BSDF with the same wrappers."""
+"""``SurfaceLobes``, evaluated without an indirect call, equal Mitsuba's BSDF in the same wrappers."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ TILTED = {
 
 
 def directions(generator: np.random.Generator) -> Any:
-    """Unit directions (NUM) over the whole sphere."""
+    """Return NUM unit directions, uniform on the sphere."""
     values = generator.normal(size=(3, NUM))
     return mi.Vector3f(*(mi.Float(v) for v in (values / np.linalg.norm(values, axis=0)).astype(np.float32)))
 
 
 @pytest.fixture(scope="module")
 def hits() -> Any:
-    """Interactions seen from both sides."""
+    """Return NUM surface interactions with incident directions on both sides."""
     si = dr.zeros(mi.SurfaceInteraction3f, NUM)
     si.sh_frame = mi.Frame3f(mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0), mi.Vector3f(0, 0, 1))
     si.wi = directions(np.random.default_rng(1))
@@ -46,7 +46,7 @@ def hits() -> Any:
 
 
 def lobes_of(description: dict[str, Any], si: Any) -> tuple[Any, SurfaceLobes]:
-    """Mitsuba's BSDF and our lobes of a material."""
+    """Return Mitsuba's BSDF of a material and the project's lobes at ``si``."""
     bsdf = mi.load_dict(description)
     evaluator, _ = build_evaluator(bsdf)
     channels = SurfaceChannels(*evaluator(si, mi.Bool(True)))

@@ -24,7 +24,7 @@ def test_another_variant_is_refused(mitsuba_variant: str) -> None:
 def test_a_library_without_a_version_in_its_name_is_queried(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """File names on macOS and Windows lack a version; a library that fails to load is ignored."""
+    """LLVM's file names on macOS and Windows lack a version; a library that fails to load is ignored."""
     for name in ("libLLVM.dylib", "LLVM-C.dll", "libLLVM.so.19.1"):
         (tmp_path / name).touch()
     monkeypatch.setattr(variant, "SEARCH_FOLDERS", (str(tmp_path),))
