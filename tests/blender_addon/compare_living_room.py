@@ -6,8 +6,8 @@ agreement of the two pictures and writes ``OUT/comparison.jpg``: Cycles, Mitsuba
 denoised.
 
 Both renderers make two independent images, x1 and x2 (Mitsuba), r1 and r2 (Cycles), with half the samples
-each. The mean of ``(x1-r1)(x2-r2)`` estimates the converged images' squared difference without noise. Figures
-named ``psnr_srgb_db`` compare values clipped to [0, 1] and sRGB-encoded, with a peak of 1.
+each. The mean of ``(x1-r1)(x2-r2)`` is an unbiased estimate of the converged images' squared difference.
+The figures ``psnr_srgb_...`` compare values clipped to [0, 1] and sRGB-encoded, with a peak of 1.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ def _run(*arguments: object) -> str:
 
 
 def render(assets: Path, out: Path, width: int, samples: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Two linear images (2, H, W, 3) by Cycles, two by Mitsuba, and the export's remarks."""
+    """Return two linear images (2, H, W, 3) by Cycles, two by Mitsuba, and the export's remarks."""
     text = _run("tests.blender_addon.living_room", assets, out, "--width", width, "--samples", samples // 2)
     _run("tests.blender_addon.render_twice", out / "packages" / "living_room", out, samples // 2)
     return np.load(out / "cycles.npy"), np.load(out / "mitsuba.npy"), json.loads(text.splitlines()[-1])
 
 
 def encoded(linear: np.ndarray) -> np.ndarray:
-    """The values clipped to [0, 1] and sRGB-encoded."""
+    """Clip values to [0, 1] and encode them as sRGB."""
     return srgb_from_linear(np.clip(linear, 0, 1))
 
 
 def _psnr(first: np.ndarray, second: np.ndarray) -> float:
-    """PSNR (dB) of two pairs of images (2, H, W, 3), from the product of independent differences."""
+    """PSNR (dB) between two pairs of images (2, H, W, 3), from the product of independent differences."""
     squared = (first[0] - second[0]) * (first[1] - second[1])
     return float(-10 * np.log10(max(squared.mean(), 1e-12)))
 
@@ -63,7 +63,7 @@ def _blocks(images: np.ndarray) -> np.ndarray:
 
 
 def figures(cycles: np.ndarray, mitsuba: np.ndarray) -> dict[str, float]:
-    """Measures of agreement, by name, of two pairs of linear images (2, H, W, 3)."""
+    """Return measures of agreement between two pairs of linear images (2, H, W, 3), by name."""
     theirs, ours = cycles.astype(np.float64), mitsuba.astype(np.float64)
     reference = theirs.mean(axis=0)
     squared = (ours[0] - theirs[0]) * (ours[1] - theirs[1])
@@ -76,7 +76,7 @@ def figures(cycles: np.ndarray, mitsuba: np.ndarray) -> dict[str, float]:
 
 
 def picture(cycles: np.ndarray, mitsuba: np.ndarray) -> Image.Image:
-    """Cycles, Mitsuba and their difference (grey = equal) side by side."""
+    """Return the denoised images of Cycles and Mitsuba and their difference (grey: equal), side by side."""
     import pyoidn
 
     clean = [

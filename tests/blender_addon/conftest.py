@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fixtures that run Blender in separate processes: one per file state, and never together with mitsuba."""
+"""Fixtures that run Blender in separate processes: one per open file, and never together with Mitsuba."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def run_module() -> Callable[..., Any]:
-    """A function that runs ``python -m MODULE ARGUMENTS`` and returns the JSON of its last line, if any."""
+    """Function that runs ``python -m MODULE ARGUMENTS`` and returns its last line of JSON, or None."""
 
     def run(module: str, *arguments: str, timeout: float = 300) -> Any:
         done = subprocess.run(

@@ -16,7 +16,7 @@ RUNTIME = {
 
 
 def snapshot(bpy: Any) -> dict[str, Any]:
-    """State of the open file: every datablock, its users and properties, selection, and mode."""
+    """Return the state of the open file: every datablock, its users and properties, selection, and mode."""
     state: dict[str, Any] = {}
     for prop in bpy.data.bl_rna.properties:
         if prop.type != "COLLECTION" or prop.identifier in ("window_managers", "screens", "workspaces"):
@@ -77,7 +77,7 @@ def _reference(value: Any, above: set[tuple[int, str]]) -> Any:
 
 
 def differences(before: Any, after: Any, path: str = "") -> list[str]:
-    """Paths at which two snapshots differ."""
+    """Return the paths at which two snapshots differ, with the values."""
     if isinstance(before, dict) and isinstance(after, dict):
         found = []
         for key in sorted(before.keys() | after.keys(), key=str):

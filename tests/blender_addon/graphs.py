@@ -19,12 +19,13 @@ import numpy as np
 from datagen.foundation.color import linear_from_srgb
 
 Expected = Callable[[np.ndarray], np.ndarray]
-F0 = 0.04  # of the default refractive index of 1.5
+F0 = 0.04  # F0 of the default refractive index, 1.5
 
 
 @dataclass
 class Case:
-    """A graph created by ``build``, with ``expected`` channels: constants or functions of position (N, 3)."""
+    """A graph created by ``build``. ``expected`` channels are constants or functions of position (N, 3);
+    ``kinds`` is how channels are exported: as a "constant", the original "image" or a baked "texture"."""
 
     name: str
     build: Callable[[Stage], None]
@@ -36,7 +37,7 @@ CASES: list[Case] = []
 
 
 def case(kinds: dict[str, str] | None = None, **expected: Any) -> Callable[[Callable[[Stage], None]], Any]:
-    """Decorator that registers a graph; ``kinds`` maps channels to "constant", "image" or "texture"."""
+    """Decorator that registers a graph as a :class:`Case`."""
 
     def register(build: Callable[[Stage], None]) -> Callable[[Stage], None]:
         CASES.append(Case(build.__name__, build, expected, kinds or {}))
@@ -116,7 +117,7 @@ class Stage:
         return node.outputs[0]
 
     def image(self, pixels: np.ndarray, space: str = "sRGB", name: str = "", packed: bool = True) -> Any:
-        """A byte image with the given stored values (H, W, 3 or 4), row 0 at the top."""
+        """Create an 8-bit image with the given stored values (H, W, 3 or 4), row 0 at the top."""
         height, width, channels = pixels.shape
         image = self.bpy.data.images.new(name or self.name, width, height, alpha=channels == 4)
         full = np.ones((height, width, 4), np.float32)
@@ -140,7 +141,7 @@ class Stage:
         return node
 
     def group(self, name: str = "") -> Any:
-        """An empty node group."""
+        """Create an empty node group."""
         return self.bpy.data.node_groups.new(name or self.name, "ShaderNodeTree")
 
 
@@ -156,7 +157,7 @@ def smooth_image(size: int = 64, channels: int = 3) -> np.ndarray:
 
 
 def lookup(pixels: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Bilinear lookup (N, C) in the tiled ``pixels`` (H, W, C), whose row 0 is at v = 1, at ``uv`` (N, 2)."""
+    """Look up ``uv`` (N, 2) bilinearly in the tiled ``pixels`` (H, W, C), whose row 0 is at v = 1: (N, C)."""
     height, width = pixels.shape[:2]
     x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
     x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
@@ -284,7 +285,7 @@ def _glossy(s: Stage, colour: tuple[float, float, float], roughness: float) -> A
     return node
 
 
-# Energy is conserved: (1 - S) D = 0.7 * 0.4.
+# The diffuse reflectance of the mix, 0.7 * 0.4, is (1 - S) D.
 @case(diffuse_albedo=0.7 * 0.4 / (1 - 0.3 * 0.8), specular_albedo=0.3 * 0.8, roughness=0.35)
 def mix_of_diffuse_and_glossy(s: Stage) -> None:
     s.surface(_mix(s, _diffuse(s, (0.4,) * 3), _glossy(s, (0.8,) * 3, 0.35), 0.3))
@@ -594,7 +595,7 @@ def alpha_of_an_image_without(s: Stage) -> None:
     roughness=lambda p: 0.5 * lookup(smooth_image(), p)[:, 0],
 )
 def one_map_by_name_and_without(s: Stage) -> None:
-    """Two textures on two meshes; one names the UV map that is active for rendering, the other names none."""
+    """Two textures on two meshes; one names the UV map that is active for rendering, the other no map."""
     s.add(s.square(), (2, 0, 0))
     invert = s.node("Invert")
     named = s.node("UVMap", uv_map="UVMap").outputs[0]
@@ -747,7 +748,7 @@ def checker(s: Stage) -> None:
     node.inputs["Scale"].default_value = 8
     node.inputs["Color1"].default_value = (0.9, 0.9, 0.9, 1)
     node.inputs["Color2"].default_value = (0.2, 0.2, 0.2, 1)
-    offset = s.node("VectorMath", operation="ADD")  # keeps z off the checker's boundary
+    offset = s.node("VectorMath", operation="ADD")  # moves z away from the boundary between checker cells
     offset.inputs[1].default_value = (0, 0, 0.03)
     s.link(s.uv(), offset.inputs[0])
     s.link(offset.outputs[0], node.inputs["Vector"])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Builds, validates, installs and enables the extension, then uses its operators; prints JSON.
 
-``python -m tests.blender_addon.install FOLDER PACKAGES`` with BLENDER_USER_RESOURCES set to an empty folder.
-Imports packages, exports them again, and leaves the result in ``FOLDER/again``.
+``python -m tests.blender_addon.install FOLDER PACKAGES`` imports the packages and exports them again to
+``FOLDER/again``. BLENDER_USER_RESOURCES must be set to an empty folder.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ ROUND_TRIP = (
 
 
 def build(folder: Path) -> tuple[Path, str]:
-    """Build and validate the extension's zip with Blender's tool; returns its path and the tool's output."""
+    """Build and validate the extension's zip with Blender's tool; return its path and the tool's output."""
     import bpy
 
     tool = Path(bpy.utils.resource_path("LOCAL")) / "scripts/addons_core/bl_pkg/cli/blender_ext.py"

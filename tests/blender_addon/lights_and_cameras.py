@@ -169,7 +169,7 @@ CLIP = "clip_depths"  # name of the package
 
 
 def clipped(bpy: Any, scene: Any) -> None:
-    """A black card in front of Clip Start and a black wall beyond Clip End; the unit is 2 m."""
+    """Add a black card nearer than Clip Start and a black wall beyond Clip End; the unit is 2 m."""
     scene.unit_settings.scale_length = 2.0
     _world(bpy, scene).nodes["Background"].inputs["Color"].default_value = (0.3, 0.4, 0.6, 1)
     camera = scene.camera
@@ -195,7 +195,7 @@ def _matt(bpy: Any, name: str, grey: float) -> Any:
 
 
 def _stage(bpy: Any) -> Any:
-    """An empty file with a grey floor that fills the camera's view."""
+    """Return the scene of an empty file with a grey floor that fills the camera's view."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     material = _matt(bpy, "floor", 0.5)
@@ -229,7 +229,7 @@ def _cycles(bpy: Any, scene: Any, path: Path) -> None:
 
 
 def _projected(bpy: Any, scene: Any) -> list[dict[str, Any]]:
-    """Twenty random world points with their pixel coordinates by Blender, v downwards."""
+    """Return twenty random world points with Blender's pixel coordinates for them, v downwards."""
     from bpy_extras.object_utils import world_to_camera_view
     from mathutils import Vector
 

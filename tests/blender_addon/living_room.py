@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Assembles the Poly Haven living room by its layout, renders it with Cycles and exports it.
+"""Assembles the Poly Haven living room from its layout, renders it with Cycles and exports it.
 
 ``python -m tests.blender_addon.living_room ASSETS OUT [--width W] [--samples N]`` writes the .blend file, the
 package ``OUT/packages/living_room`` and ``OUT/cycles.npy`` (two images of N samples, 2 x H x W x 3, linear),
@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 
 LAYOUT = "furnished_living_room.dmd.yaml"
-# mesh file of each model in the layout
+# Mesh file of each model in the layout.
 MESHES = {
     "living_room": "living_room", "cabinet": "painted_wooden_cabinet_1k",
     "bookshelves": "wooden_bookshelf_worn_1k", "tall_cabinet": "painted_wooden_cabinet_02_1k",
@@ -36,7 +36,9 @@ _Layout.add_constructor("!Rpy", lambda loader, node: loader.construct_mapping(no
 
 
 def placements(layout: Path) -> list[tuple[str, np.ndarray]]:
-    """Mesh file and ``world_from_model`` (4, 4) of each model; rotations are about the fixed axes x, y, z."""
+    """Return the mesh file and ``world_from_model`` (4, 4) of each model.
+
+    The layout's rotations are roll, pitch and yaw about the fixed axes x, y and z, in this order."""
     meshes, poses = {}, []
     for directive in yaml.load(layout.read_text(), _Layout)["directives"]:
         if "add_model" in directive:
@@ -95,7 +97,7 @@ def assemble(bpy: Any, assets: Path) -> None:
 
 
 def _drop_missing_images(bpy: Any) -> None:
-    """Remove the door's missing normal map, which the exporter refuses and Cycles replaces by magenta."""
+    """Remove the door's missing normal map, which the exporter would refuse and Cycles renders magenta."""
     for material in bpy.data.materials:
         for node in list(material.node_tree.nodes):
             if node.type == "TEX_IMAGE" and not node.image.has_data and not node.image.size[0]:
@@ -103,7 +105,7 @@ def _drop_missing_images(bpy: Any) -> None:
 
 
 def prepare_cycles(scene: Any, width: int, samples: int) -> None:
-    """Set up path tracing without clamp, filtered glossiness or denoiser, with Mitsuba's bounce count."""
+    """Set up path tracing with Mitsuba's number of bounces, without clamp, Filter Glossy or denoiser."""
     scene.render.engine = "CYCLES"
     scene.render.resolution_x, scene.render.resolution_y = width, width * 5 // 8
     cycles = scene.cycles

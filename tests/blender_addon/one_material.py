@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Exports a room whose three walls share a graph on object coordinates, and two stools of the same oak.
 
-``python -m tests.blender_addon.one_material OUT`` writes ``first/`` and ``again/`` (imported and exported).
+``python -m tests.blender_addon.one_material OUT`` writes ``first/``, and ``again/`` after an import.
 """
 
 from __future__ import annotations

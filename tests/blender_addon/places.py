@@ -2,8 +2,8 @@
 """Exports, imports and re-exports a room and a lamp with every kind of light, marker, camera and tag.
 
 ``python -m tests.blender_addon.places OUT`` writes ``first/``, ``again/`` (imported into an empty file) and
-``in_centimetres/`` (into one whose unit is a centimetre), and prints JSON: the remarks of these imports,
-refusals of invalid packages with what they changed in the file, and the width of a material's sample.
+``in_centimetres/`` (imported into a file whose unit is a centimetre), and prints JSON: the remarks of these
+imports, the errors of invalid packages with the changes to the file, and the width of a material's sample.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def _export(bpy: Any, folder: Path) -> None:
 
 
 def _invalid(bpy: Any, out: Path) -> dict[str, tuple[str, list[str]]]:
-    """Import a damaged zip and a room that lacks a field of its last entry; errors and changes by name."""
+    """Import an incomplete room, a damaged zip and a text; return errors and changes to the file by name."""
     from blender_addon.import_package import import_package
 
     shutil.copytree(out / "first" / ENVIRONMENT, out / "incomplete")
@@ -158,7 +158,7 @@ def _invalid(bpy: Any, out: Path) -> dict[str, tuple[str, list[str]]]:
 
 
 def _sample_side_m(bpy: Any, out: Path) -> float:
-    """Width of the sample of the material "paint" in a scene in centimetres."""
+    """Return the width in metres of the square that shows the material "paint", in a scene in centimetres."""
     from blender_addon.import_package import import_package
 
     bpy.ops.wm.read_factory_settings(use_empty=True)

@@ -166,7 +166,7 @@ def area_light_spread(s: Stage) -> None:
 
 
 def normal_image(size: int = 64) -> np.ndarray:
-    """Encoded unit normals (size, size, 3) that tilt by up to 23 degrees and tile."""
+    """Return a tiling image (size, size, 3) of encoded unit normals, tilted by up to 23 degrees."""
     t = (np.arange(size) + 0.5) / size * 2 * np.pi
     y, x = np.meshgrid(t, t, indexing="ij")
     vector = np.stack([0.3 * np.sin(x), 0.3 * np.cos(y), np.ones_like(x)], axis=-1)
@@ -215,7 +215,7 @@ def main(out: Path) -> None:
     settings = ExportSettings(kind="object", license="CC0-1.0", bake_normals=True, max_texture_px=256)
     export(out / "normals", settings)
     bpy.context.scene.unit_settings.scale_length = 0.01
-    for name in ("normal_map", "bump"):  # the tile's side remains one unit
+    for name in ("normal_map", "bump"):  # a tile of 0.01 m is still one unit wide
         bpy.data.materials[name]["sm_role"], bpy.data.materials[name]["sm_tile_size_m"] = "material", 0.01
     export(out / "materials", replace(settings, kind="material"))
     bpy.ops.wm.read_factory_settings(use_empty=True)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Renders a package's first camera with Mitsuba, twice: ``python -m ... PACKAGE OUT SAMPLES``.
 
-``OUT/mitsuba.npy`` contains the two linear images (2, H, W, 3), whose noise is independent.
+``OUT/mitsuba.npy`` contains two linear images (2, H, W, 3) with independent noise.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def main(package_path: Path, out: Path, samples: int) -> None:
 
     configuration = configuration_of(open_package(package_path))
     camera = configuration.cameras[0]
-    pair = (camera, camera.model_copy(update={"name": "again"}))  # views are seeded by their index
+    pair = (camera, camera.model_copy(update={"name": "again"}))  # seeds differ by the index of the view
     configuration = configuration.model_copy(update={"cameras": pair})
     recipe = RenderRecipe(path_samples=samples, auxiliary_samples=8, max_depth=MITSUBA_DEPTH, denoise=False)
     renderer = SceneRenderer(configuration, Library([package_path]), recipe)

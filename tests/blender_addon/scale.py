@@ -15,7 +15,7 @@ import numpy as np
 
 
 def _grid(bpy: Any, name: str, side: int, materials: list[Any]) -> Any:
-    """A bumpy square of 2 side^2 triangles whose faces cycle through the materials."""
+    """Create a bumpy square of side^2 quads, divided into one block of faces per material."""
     ticks = np.linspace(0, 1, side + 1, dtype=np.float32)
     x, y = np.meshgrid(ticks, ticks)
     z = 0.02 * np.sin(40 * x) * np.cos(30 * y)
@@ -67,14 +67,14 @@ def _export(bpy: Any, out: Path, measured: dict[str, float], name: str, **values
 
 
 def million_triangles(bpy: Any) -> dict[str, Any]:
-    """One mesh of a million triangles with a constant material, which needs no baking."""
+    """Add a mesh of a million triangles with a constant material, which needs no baking."""
     mesh = _grid(bpy, "million", 708, [_material(bpy, 0)])
     bpy.context.scene.collection.objects.link(bpy.data.objects.new("million", mesh))
     return {}
 
 
 def room(bpy: Any) -> dict[str, Any]:
-    """A room with 2,000 instances of 40 meshes (4M triangles) and 200 materials, half of them procedural."""
+    """Add 2,000 instances of 40 meshes (4M triangles) with 200 materials, half of which are procedural."""
     materials = [_material(bpy, index) for index in range(200)]
     meshes = [_grid(bpy, f"mesh {i}", 224, materials[5 * i : 5 * i + 5]) for i in range(40)]
     for index in range(2000):
@@ -85,7 +85,7 @@ def room(bpy: Any) -> dict[str, Any]:
 
 
 def three_channels_1024_px(bpy: Any) -> dict[str, Any]:
-    """One material whose three channels need 1024 px each."""
+    """Add a square whose material has three procedural channels, each of which needs 1024 px."""
     material = _material(bpy, 1)
     noise = next(n for n in material.node_tree.nodes if n.type == "TEX_NOISE")
     noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 200, 8
@@ -101,7 +101,7 @@ SCENES = {build.__name__: build for build in (million_triangles, room, three_cha
 
 
 def main(out: Path, names: Sequence[str]) -> None:
-    """Export the named scenes, each as ``OUT/<name>``; prints wall and processor seconds."""
+    """Export the named scenes to ``OUT/<name>``; print wall and processor seconds."""
     import bpy
 
     measured: dict[str, float] = {}

@@ -17,7 +17,7 @@ SAMPLES_PER_TRIANGLE = 40
 
 
 def surface_samples(mesh: Mesh, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Random points (N, 3) on the mesh and their uv (N, 2)."""
+    """Return random points (N, 3) on the mesh and their UVs (N, 2), which are 0 without a UV map."""
     generator = np.random.default_rng(seed)
     faces = mesh.faces
     weights = generator.dirichlet((1, 1, 1), (len(faces), SAMPLES_PER_TRIANGLE))

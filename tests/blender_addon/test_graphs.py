@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every node graph of :mod:`tests.blender_addon.graphs` against its closed form, on the exported surface."""
+"""Every node graph of :mod:`tests.blender_addon.graphs`, as exported, agrees with its closed form."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TOLERANCE = 1 / 255
 
 
 def _errors(package: Package, case: Case, name: str, seed: int) -> np.ndarray:
-    """Absolute error of a channel at random points of every part, except where the closed form is NaN."""
+    """Return the absolute errors of a channel at random points of every part, except where NaN is expected."""
     asset = package.asset
     assert isinstance(asset, ObjectAsset)
     errors = []
@@ -91,7 +91,7 @@ def test_a_wrong_closed_form_is_detected(graphs_folder: Path) -> None:
 
 @pytest.mark.parametrize("name", ["generated_coordinates_of_a_box", "object_coordinates_under_modifiers"])
 def test_smooth_values_on_charts_need_few_texels(graphs_folder: Path, name: str) -> None:
-    """Only covered texels count, so gaps between charts need no larger texture."""
+    """Only covered texels determine the resolution, so gaps between charts do not raise it."""
     package = open_package(graphs_folder / "packages" / name)
     assert isinstance(package.asset, ObjectAsset)
     (material,) = package.asset.materials.values()

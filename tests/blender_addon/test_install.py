@@ -58,7 +58,7 @@ def test_command_of_blender_exports_like_the_operator(installed: tuple[Path, dic
 
 
 def _values(package: Package, channel: str) -> list[np.ndarray]:
-    """Values of a channel at the same random points of each part."""
+    """Return the values of a channel at random points of each part, equal for equal meshes."""
     assert isinstance(package.asset, ObjectAsset)
     found = []
     for index, part in enumerate(package.asset.parts):
@@ -76,7 +76,7 @@ def test_package_survives_import_and_export(
     after = open_package(installed[0] / "again" / name)
     assert isinstance(before.asset, ObjectAsset)
     assert isinstance(after.asset, ObjectAsset)
-    size = np.subtract(before.asset.maximum_m, before.asset.minimum_m)  # the import centres the origin
+    size = np.subtract(before.asset.maximum_m, before.asset.minimum_m)  # the import moves the origin
     assert np.allclose(size, np.subtract(after.asset.maximum_m, after.asset.minimum_m), atol=1e-5)
     assert [p.uv_per_m for p in before.asset.parts] == pytest.approx([p.uv_per_m for p in after.asset.parts])
     for channel in CHANNELS:

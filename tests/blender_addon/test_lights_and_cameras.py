@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Exported lights rendered by Mitsuba against Cycles, and exported cameras against Blender's projection."""
+"""Exported lights in Mitsuba agree with Cycles, and exported cameras with Blender's projection."""
 
 from __future__ import annotations
 
@@ -42,7 +42,8 @@ def rendered(cycles: tuple[Path, Any], run_module: Callable[..., Any]) -> Path:
 
 
 def _ratio(folder: Path, name: str) -> tuple[np.ndarray, float]:
-    """Ratio of mean radiance, Mitsuba / Cycles, per lit colour, and relative difference of the images."""
+    """Return the ratio of mean radiance, Mitsuba / Cycles, of each colour channel that is not black, and the
+    mean absolute difference of the images relative to the mean of Cycles."""
     ours, theirs = np.load(folder / "mitsuba" / f"{name}.npy"), np.load(folder / "cycles" / f"{name}.npy")
     lit = theirs.mean(axis=(0, 1)) > 0
     ratio = ours.mean(axis=(0, 1))[lit] / theirs.mean(axis=(0, 1))[lit]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A third-party room: Cycles with the original graphs against Mitsuba with the exported package."""
+"""A third-party room, exported to Mitsuba, agrees with Cycles, which renders the original node graphs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.blender_addon.compare_living_room import figures, render
 
 pytestmark = [pytest.mark.bpy, pytest.mark.slow]
 FLOOR_DB = 34.0
-"""Least PSNR (dB) of sRGB means over 8 x 8 pixels. Measured: 36.1 at 320 x 200 pixels with 256 samples, as
+"""Minimum PSNR (dB) of means over 8 x 8 pixels. Measured: 36.1 at 320 x 200 pixels with 256 samples, since
 lobes differ (Beckmann, GGX) and lamps cast shadows only in Mitsuba; 10 % more brightness alone yields 33."""
 
 

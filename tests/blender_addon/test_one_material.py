@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A Blender material remains one material in every configuration, with a bake for each mesh."""
+"""A Blender material that is baked for each mesh is still replaced and varied as one material."""
 
 from __future__ import annotations
 

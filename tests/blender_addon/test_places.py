@@ -26,7 +26,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory, run_module: Callable[...,
 
 
 def _differences(wanted: Any, got: Any, where: str = "") -> list[str]:
-    """Differences of two JSON values; numbers may differ by float32 rounding."""
+    """Return the differences of two JSON values, except those of numbers within float32 rounding."""
     if isinstance(wanted, dict) and isinstance(got, dict):
         keys = sorted(set(wanted) | set(got))
         return [d for k in keys for d in _differences(wanted.get(k), got.get(k), f"{where}.{k}")]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Large scenes: time to export a million triangles, a room with 2,000 instances, and a 1024-px bake."""
+"""Large scenes are exported in time: a million triangles, 2,000 instances, and bakes of 1024 px."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ pytestmark = [pytest.mark.bpy, pytest.mark.slow]
 
 def test_large_scenes_export_in_time(tmp_path: Path, run_module: Callable[..., Any]) -> None:
     measured = run_module("tests.blender_addon.scale", str(tmp_path), timeout=900)
-    # processor time, since other load delays wall time; the second limit is 3 s on two cores
+    # processor time, since wall time depends on other load; the second limit is 3 s of two cores
     assert measured["million_triangles_cpu_s"] < 5, measured
     assert measured["three_channels_1024_px_cpu_s"] < 2 * 3, measured
     asset = json.loads((tmp_path / "room").glob("*/asset.json").__next__().read_text())

@@ -49,7 +49,7 @@ def blend(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _export(blend: Path, out: Path, *words: str, allowed: bool = False) -> tuple[int, str, float]:
-    """Exit code, output, and the seconds from the last line of the exporter to the exit."""
+    """Run the exporter; return its exit code, its output, and the seconds from its last line to its exit."""
     start = ["-c", _WITH_SCRIPTS_ALLOWED] if allowed else ["-m", "blender_addon"]
     log = out.with_suffix(".log")
     with log.open("wb") as sink:

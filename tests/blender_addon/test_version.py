@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An old Blender is refused by name before anything is read or written."""
+"""A Blender that is too old is refused, with the version required, before anything is read or written."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Exports a file with every possible outcome and compares the file before and after; prints JSON.
+"""Exports a file with every possible outcome, compares its state before and after, and prints JSON.
 
 ``python -m tests.blender_addon.untouched FOLDER`` expects ``FOLDER/graphs.blend``.
 """
@@ -94,7 +94,7 @@ def main(folder: Path) -> None:
 
 
 def _furnish(bpy: Any) -> None:
-    """Add state that careless code changes: a selection, an active object, a textured world, a camera."""
+    """Add state that careless code changes: selection, active object, textured world, camera and curve."""
     scene = bpy.context.scene
     for collection in list(bpy.data.collections):
         if collection.name not in CHOSEN:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Screenshots of the add-on in a real window, under Xvfb: ``python -m tests.blender_addon.window OUT``.
 
-``--blender PROGRAM`` takes them in that program; a Blender older than the add-on requires shows the refusal.
-The default is pip's bpy, which opens no window by itself: in the pinned wheel (bpy 4.5.15, x86-64), before
-the import, the program patches the start-up instruction that enables background mode; then it runs Blender's
-main loop. Requires Xvfb, ImageMagick's ``import`` and, for an old Blender, xdotool.
+``--blender PROGRAM`` takes them in that program; one older than the add-on requires shows the refusal. The
+default is pip's bpy, which always runs in background mode: in the pinned wheel (bpy 4.5.15, x86-64), this
+module patches the start-up instruction that enables background mode, imports bpy, and runs Blender's main
+loop. Requires Xvfb, ImageMagick's ``import`` and, for an old Blender, xdotool.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _PAGE = 4096
 
 
 def main(out: Path, blender: str | None = None) -> int:
-    """Start Xvfb and run this module in it, with Python or ``blender``; returns the child's exit code."""
+    """Start Xvfb and run this module in it, by Python or ``blender``; return the child's exit code."""
     out.mkdir(parents=True, exist_ok=True)
     server = subprocess.Popen(["Xvfb", DISPLAY, "-screen", "0", f"{SIZE}x24"], stderr=subprocess.DEVNULL)
     try:
@@ -50,7 +50,7 @@ def main(out: Path, blender: str | None = None) -> int:
 
 
 def import_with_window() -> tuple[Any, int]:
-    """Import bpy such that it can open a window; returns it and the library's base address."""
+    """Import bpy such that it can open a window; return it and the base address of its shared library."""
     spec = importlib.util.find_spec("bpy")
     if spec is None or spec.origin is None:
         raise RuntimeError("bpy is not installed")
@@ -80,7 +80,7 @@ def inside(out: Path) -> None:
 
 
 def drive(out: Path) -> None:
-    """Enable the add-on in the window and start the script, which ends the process."""
+    """Enable the add-on and start the script by a timer; the process exits at its end."""
     import bpy
 
     import blender_addon
@@ -114,7 +114,7 @@ def _view(bpy: Any) -> dict[str, Any]:
 
 
 def _script(bpy: Any, out: Path) -> Any:
-    """Run the steps in the window; yields the seconds to wait after each."""
+    """Run the steps in the window; yield the seconds to wait after each."""
     bpy.context.preferences.view.show_splash = False
     cube = bpy.data.objects.get("Cube")
     glass = bpy.data.materials.new("Glass")
@@ -164,7 +164,7 @@ def _script(bpy: Any, out: Path) -> Any:
 
 
 def _refused(bpy: Any, out: Path) -> Any:
-    """Run the steps in an old Blender, whose panel shows the refusal; yields like :func:`_script`."""
+    """Run the steps in an old Blender, whose panel shows the refusal; yield as :func:`_script` does."""
     bpy.context.preferences.view.show_splash = False
     cube = bpy.data.objects["Cube"]
     cube["sm_role"], cube["sm_category"], cube["sm_license"] = "object", "paperweight", "CC0-1.0"
