@@ -60,7 +60,7 @@ def test_rebuilding_everything_gives_the_same_bytes(tmp_path: Path) -> None:
 @needs_bpy
 @pytest.mark.bpy
 def test_reducing_maps_again_gives_the_same_panoramas(shared_data: Path, tmp_path: Path) -> None:
-    """Maps of Poly Haven yield equal bytes; Blender's own maps may differ between its versions."""
+    """Poly Haven's maps yield equal bytes; those that Blender includes differ between its versions."""
     bpy = importlib.util.find_spec("bpy")
     assert bpy is not None and bpy.origin is not None
     (blender,) = Path(bpy.origin).parent.glob("*/datafiles/studiolights/world")
@@ -86,9 +86,9 @@ def test_every_source_is_bundled_and_vice_versa() -> None:
 
 
 def seam(pixels: np.ndarray) -> float:
-    """Ratio of the step across the texture's border to the largest inner step, on the worse axis.
+    """Ratio of the step across the texture's border to the largest inner step, for the worse axis.
 
-    Steps are means of absolute differences over a whole row or column of texels.
+    A step is the mean absolute difference of two adjacent rows or columns of texels.
     """
     worst = 0.0
     for axis in (0, 1):
@@ -120,7 +120,7 @@ def test_tiled_textures_have_no_seam() -> None:
 
 
 def test_a_seam_is_detected() -> None:
-    """Injected fault: with 5 % of each texture cut off, many borders no longer match."""
+    """Injected fault: with 5 % of each texture cut off, over a quarter of the textures have a seam."""
     textures = tiled_textures()
     large = [p for _, p in textures if min(p.shape[:2]) >= 32]
     cut = [seam(p[: int(0.95 * len(p)), : int(0.95 * p.shape[1])]) for p in large]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """A real Slurm on one machine for tests: munged, slurmctld and several slurmd, without systemd or cgroups.
 
-All files are in a temporary folder and processes end with the context manager. Settings were found by
-measurement: nodes are declared down quickly, requeues do not wait two minutes, signals reach preempted
-steps.
+All files are in a temporary folder, and leaving the context manager ends all processes. The settings were
+found by experiment: nodes are declared down quickly, requeues do not wait two minutes, and signals reach
+preempted steps.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _PATH = os.environ.get("PATH", "") + ":/usr/sbin:/sbin"
 
 
 def missing_programs() -> list[str]:
-    """Programs of Slurm and munge that are not installed (Debian: slurm-wlm, munge)."""
+    """Return the programs of Slurm and munge that are not installed (Debian: slurm-wlm, munge)."""
     return [name for name in PROGRAMS if shutil.which(name, path=_PATH) is None]
 
 
@@ -40,9 +40,9 @@ def _free_ports(count: int) -> list[int]:
 
 
 class Cluster:
-    """A running cluster of ``num_nodes`` nodes with ``cpus`` processors each; use as a context manager.
+    """A context manager that runs a cluster of ``num_nodes`` nodes with ``cpus`` processors each.
 
-    ``environment`` contains the variables that commands need to reach it.
+    ``environment`` contains the environment variables by which commands reach it.
     """
 
     def __init__(self, root: Path, num_nodes: int = 3, cpus: int = 2):
@@ -148,7 +148,7 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP OverSubscribe
         self.wait_for((self.root / "munge" / "munge.sock").exists, "munge's socket")
 
     def start_controller(self) -> None:
-        """Start slurmctld; also after :meth:`kill_controller`."""
+        """Start slurmctld, or restart it after :meth:`kill_controller`."""
         self._controller = self._daemon("slurmctld", "-D", "-f", str(self.config))
 
     def kill_controller(self) -> None:
@@ -158,7 +158,7 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP OverSubscribe
         self._controller.wait()
 
     def start_node(self, name: str) -> None:
-        """Start the slurmd of a node; also after :meth:`kill_node`."""
+        """Start the slurmd of a node, or restart it after :meth:`kill_node`."""
         self._nodes[name] = self._daemon("slurmd", "-D", "-f", str(self.config), "-N", name)
 
     def kill_node(self, name: str, and_jobs: bool) -> None:
@@ -178,7 +178,7 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP OverSubscribe
                 _kill_tree(candidate)
 
     def leftovers(self) -> list[str]:
-        """Remaining processes of this cluster and its jobs."""
+        """Return the remaining processes of this cluster and its jobs."""
         found = []
         for process in psutil.process_iter(["pid", "cmdline"]):
             command = " ".join(process.info["cmdline"] or [])
@@ -198,7 +198,7 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP OverSubscribe
             return subprocess.Popen(command, env=self.environment, stdout=log, stderr=log)
 
     def run(self, *command: str) -> str:
-        """Output of a Slurm command; raises RuntimeError with its message if it fails."""
+        """Return the output of a Slurm command. Raises RuntimeError with its message if it fails."""
         result = subprocess.run(command, env=self.environment, capture_output=True, text=True, timeout=60)
         if result.returncode != 0:
             raise RuntimeError(f"{' '.join(command)}: {result.stderr or result.stdout}")
@@ -211,11 +211,11 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP OverSubscribe
             return []  # the controller is still starting
 
     def jobs(self) -> list[str]:
-        """Lines ``id state reason`` of the queue, one per array task."""
+        """Return the lines ``id state reason`` of the queue, one per array task."""
         return self.run("squeue", "--noheader", "-r", "--format=%i %T %r").splitlines()
 
     def wait_for(self, condition: Callable[[], object], what: str, timeout_s: float = 90.0) -> None:
-        """Poll until ``condition()`` is true; raises TimeoutError with the queue after ``timeout_s``."""
+        """Poll until ``condition()`` is true. Raises TimeoutError with the queue after ``timeout_s``."""
         deadline = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > deadline:
@@ -224,7 +224,7 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP OverSubscribe
             signal.sigtimedwait([], 0.2)
 
     def wait_until_stuck_or_idle(self) -> bool:
-        """Wait until no job runs or can start; True if held jobs remain in the queue."""
+        """Wait until no job runs or can start; return True if jobs remain in the queue."""
         self.wait_for(lambda: all(_is_stuck(job) for job in self.jobs()), "an empty or a stuck queue", 240.0)
         return bool(self.jobs())
 
@@ -241,7 +241,7 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP OverSubscribe
 
 
 def _is_stuck(job: str) -> bool:
-    """Whether a line of the queue needs intervention: held, or dependent on such a job."""
+    """Return whether a line of :meth:`Cluster.jobs` is a job that is held or waits for another job."""
     return job.endswith("held") or " PENDING Dependency" in job
 
 

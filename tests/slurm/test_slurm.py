@@ -30,7 +30,7 @@ SETUP = f"export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH"
 INDEX_ONLY = """[ "${SLURM_ARRAY_TASK_ID:-}" ] || datagen() {
     case "$1" in verify|report) ;; *) command datagen "$@" ;; esac
 }"""
-"""Shell code with which the collecting job neither verifies nor reports, as one test covers both."""
+"""Shell function that makes the collecting job skip ``verify`` and ``report``, which one test covers."""
 
 pytestmark = pytest.mark.skipif(
     bool(missing_programs()) or os.geteuid() != 0,
@@ -52,7 +52,7 @@ def library_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def expected(tmp_path_factory: pytest.TempPathFactory, library_root: Path) -> dict[str, str]:
-    """Hashes of the shards that one local worker makes."""
+    """Return the hashes of the shards made by one local worker, by configuration."""
     folder = plan_small(tmp_path_factory.mktemp("local") / "dataset", library_root, num_units=UNITS)
     run_local(folder.root, LocalOptions(workers=1))
     return _hashes(folder)
@@ -63,7 +63,7 @@ def _hashes(folder: DatasetFolder) -> dict[str, str]:
 
 
 def _options(**changes: object) -> SlurmOptions:
-    """Options for the test cluster; `datagen` is this environment's."""
+    """Return options for the test cluster, whose jobs run the `datagen` of this environment."""
     setup = f"{SETUP}\n{INDEX_ONLY}"
     defaults: dict = {"time_limit": "00:10:00", "memory": "1G", "cpus": 1, "setup": setup}
     return SlurmOptions(**{**defaults, **changes})
@@ -113,7 +113,7 @@ def test_a_killed_node_costs_only_time(
     library_root: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """If only slurmd is killed, its job runs along with the requeued one, without duplicate results."""
+    """If only slurmd is killed, its job continues beside the requeued one, but no result is duplicated."""
     folder = plan_small(tmp_path / "node", library_root, num_units=UNITS)
     _submit(cluster, folder, monkeypatch)
     cluster.wait_for(lambda: list(folder.root.glob("work/*/running")), "a unit that runs")
@@ -136,7 +136,7 @@ def test_a_cancelled_plan_resumes(
 ) -> None:
     folder = plan_small(tmp_path / "cancel", library_root, num_units=UNITS)
     _submit(cluster, folder, monkeypatch, throttle=1)
-    # a unit takes a second, so its views may exist only between two polls; its manifest remains
+    # a unit takes a second, so polling may miss its views, but not its manifest, which remains
     cluster.wait_for(
         lambda: [*folder.root.glob("work/*/rendered/*.json"), *folder.units_path.glob("*.json")],
         "a finished view",
@@ -200,11 +200,11 @@ def test_a_killed_controller_loses_no_finished_units(
     library_root: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A controller killed after the submission may lose tasks and reuse their ids, on which nothing depends.
+    """A controller killed after the submission may lose tasks and reuse their ids, which must do no harm.
 
-    A task with an id that still runs on its node is held, and the node is drained; the documented repair is
-    to cancel and to submit again (docs/farm.md). The test uses a separate cluster because reused ids would
-    disturb others.
+    If a task has the id of a job that still runs on its node, Slurm holds the task and drains the node; the
+    documented repair is to cancel and submit again (docs/farm.md). The test uses a separate cluster, because
+    reused ids would disturb other tests.
     """
     folder = plan_small(tmp_path / "controller", library_root, num_units=UNITS)
     with Cluster(tmp_path / "cluster") as cluster:
@@ -244,7 +244,7 @@ def test_a_unit_that_always_fails_is_recorded(
 def test_jobs_signalled_before_their_time_limit_requeue_until_done(
     cluster: Cluster, tmp_path: Path, library_root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A unit longer than its limit is signalled in time, keeps its views, is requeued, and finishes."""
+    """A unit longer than the time limit is signalled before it, keeps its views, is requeued and finishes."""
     folder = plan_small(tmp_path / "limit", library_root, num_units=1, num_views=400)
     _submit(cluster, folder, monkeypatch, time_limit="00:01:00", notice_s=45)
     cluster.wait_until_idle(timeout_s=900)
