@@ -21,7 +21,7 @@ TOLERANCE = 1 / 255
 
 
 def _errors(package: Package, case: Case, name: str, seed: int) -> np.ndarray:
-    """Return the absolute errors of a channel at random points of every part, except where NaN is expected."""
+    """Return the absolute errors of a channel at random points of all parts where no NaN is expected."""
     asset = package.asset
     assert isinstance(asset, ObjectAsset)
     errors = []
