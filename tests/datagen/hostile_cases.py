@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Hostile input for the readers of `datagen`: documents, packages, shards, images and dataset folders."""
+"""Fuzz cases for the readers of `datagen`: documents, packages, shards, images and dataset folders."""
 
 from __future__ import annotations
 
@@ -241,7 +241,7 @@ class _SmallShard:
         self.tar = self.build(random.Random(0), is_hostile=False)
 
     def build(self, rng: random.Random, is_hostile: bool = True) -> bytes:
-        """Return the bytes of a tar; if hostile, some members are damaged, renamed, duplicated or linked."""
+        """Return a tar; if ``is_hostile``, members may be damaged, renamed, duplicated or links."""
         members = [
             (CONFIGURATION_MEMBER, self.configuration.model_dump(mode="json")),
             ("small-00000/view-000.exr", self.exr),
@@ -370,14 +370,14 @@ def dataset_folder(folder: Path) -> Case:
             status = result if hasattr(result, "failed") else status
         for failure in status.failed if status else ():
             last_lines(path, failure.log)
-        if refusal is not None:  # raised only after all steps have run
+        if refusal is not None:  # raised at the end, so that all steps run
             raise refusal
 
     return Case(write, read)
 
 
 def _with_hostile_paths(document: Any, rng: random.Random) -> Any:
-    """Return the document with some names of files and units replaced by hostile paths."""
+    """Return the document with some file names and unit ids replaced by hostile paths."""
     text = json.dumps(document)
     for name in ("shards/small.tar", "small-00000", "logs/small-00000.3.log", '"k"'):
         if rng.random() < 0.3:

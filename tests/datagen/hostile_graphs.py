@@ -193,7 +193,7 @@ def gltf_graph(folder: Path) -> Case:
 
 
 def texture_folder(folder: Path) -> Case:
-    """Return a fuzz case of texture folders with maps of random size, often constant and so small on disk."""
+    """Return a fuzz case of texture folders with maps of random size, which compress well if constant."""
     scale, root = Scale(), folder / "oak"
     root.mkdir()
     roles = ("Color", "Roughness", "Metalness", "NormalGL", "NormalDX", "AO", "Opacity", "Displacement")
@@ -214,7 +214,7 @@ def texture_folder(folder: Path) -> Case:
 
 
 def sweet_home(folder: Path) -> Case:
-    """Return a fuzz case of furniture libraries with many files, faces per vertex and polygon corners."""
+    """Return a fuzz case of Sweet Home 3D libraries with many files, faces per vertex and polygon corners."""
     scale = Scale()
 
     def model(rng: random.Random) -> bytes:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reads the tiles of reports, as the viewer does."""
+"""Reads the tiles of reports (files of the pixels of one buffer) as the report's page does."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def decode_tile(data: bytes, dtype: str, width: int, height: int, channels: int)
 
 
 def read_tile(path: Path) -> NDArray:
-    """Read the array (H, W, C) of a tile's file. Raises :class:`InputError` for other files."""
+    """Read a tile (H, W, C). Raises :class:`InputError` for other files."""
     page = path.read_text(encoding="utf-8")
     packed, head_text = _BYTES.search(page), _HEAD.search(page)
     if packed is None or head_text is None:

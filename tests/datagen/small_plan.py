@@ -29,7 +29,8 @@ def plan_small(
     objects: tuple[PlacedAsset, ...] = (),
     light: bool = False,
 ) -> DatasetFolder:
-    """Write a plan to ``root`` and, if it does not exist, the library; equal arguments give equal units.
+    """Write a plan to ``root``, and the library unless it exists; equal arguments give equal units.
+
     Cameras look at the ``objects``, if given, otherwise at random points."""
     if not library_root.exists():
         write_small_library(library_root)
@@ -43,7 +44,7 @@ def plan_small(
         views=num_views,
         resolution=SIZE,
         statistics=StatisticsRecipe(light=light),
-        # The error target makes the number of passes of a view variable; interruptions must not change it.
+        # With an error target, the number of passes varies between views; interruptions must not change it.
         render=RenderRecipe(
             variant="llvm_ad_rgb",
             max_rel_mse=0.02,

@@ -30,7 +30,7 @@ def _rendered(root: Path) -> Path:
 
 
 def predict(dataset: Path, out: Path, seed: int) -> Path:
-    """Write ground-truth maps with noise to ``out/<configuration>/<view>.exr`` and return ``out``."""
+    """Write noisy ground truth, as predictions, to ``out/<configuration>/<view>.exr``; return ``out``."""
     rng = np.random.default_rng(seed)
     for view in Dataset(dataset).views():
         maps = {}

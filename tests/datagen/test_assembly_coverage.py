@@ -117,7 +117,7 @@ def test_views_of_rooms_overlap_more_than_views_of_objects(library: Library) -> 
 
 
 def test_few_views_of_rooms_are_of_windows(library: Library) -> None:
-    """Distance seen through the window at +Y must not count as room depth, or most views would face it."""
+    """Distances beyond the window at +Y must not count as room depth, or most views would face the window."""
     made = assemble(recipe("room", 10), 0, library)
     towards = [view.camera().forward[1] > 0.8 for view in made.cameras]
     assert sum(towards) <= 4
@@ -135,7 +135,7 @@ def test_plan_states_coverage(library: Library, tmp_path: Path) -> None:
 
 
 def test_training_views_without_metal_or_gloss_are_reported(library: Library) -> None:
-    """Shares are averaged over all views of the training split; other splits are ignored."""
+    """Shares of pixels are averaged over all views of the training split; other splits are ignored."""
     one = assemble(recipe("room", 4), 0, library)
     assert one.coverage is not None
 

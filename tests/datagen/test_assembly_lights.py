@@ -414,7 +414,7 @@ def test_blocked_lights_are_detected(tmp_path: Path) -> None:
 
 
 def test_luminous_pixels_are_masked(tmp_path: Path) -> None:
-    """A visible panel in front of a wall and an emissive part are masked; a panel seen from behind is not."""
+    """Pixels of a visible panel and of an emissive part are masked, those of a panel's back are not."""
     shapes = {"wall": box([-2, 2, -2], [2, 2.1, 2]), "glow": box([-2, 1.9, 1], [2, 2.0, 2])}
     write_package_of(tmp_path, "set", shapes)
     scene = WorldScene(load_geometry(Library([tmp_path]).package("set")), [])
@@ -439,7 +439,7 @@ def test_luminous_pixels_are_masked(tmp_path: Path) -> None:
 
 
 def test_colours_of_black_bodies() -> None:
-    """Around 6500 K (D65) the colour is nearly white; 2856 K is illuminant A, (0.4476, 0.4074) in xy."""
+    """The colour is nearly white at 6504 K (D65) and has the xy chromaticity of illuminant A at 2856 K."""
     for kelvin in (2000, 2856, 4000, 6504, 10000):
         assert np.array(color_of_temperature(kelvin)) @ LUMINANCE == pytest.approx(1.0)
     white = color_of_temperature(6504)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Likely materials suit the kind of surface and share one style; other configurations are unchanged."""
+"""Configurations with likely materials, which suit the kind of surface and share the style of the room."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_surfaces_get_materials_of_their_kind(name: str) -> None:
             if surface == "ceiling":
                 assert value > 0.55 and saturation < 0.2, place
             if surface == "radiator":
-                assert max(means[slot].specular_albedo) < 0.25, place  # never golden
+                assert max(means[slot].specular_albedo) < 0.25, place  # never a metal
             if surface in ("joinery", "furniture", "tabletop"):
                 assert not 0.68 < hsv(means[slot])[0] < 0.9 or saturation < 0.4, place  # never violet
             if surface == "fitting":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Materials are assigned only if class and mesh permit, and vary within the range of their class."""
+"""Materials are assigned only if their class and the mesh permit, and vary within the range of the class."""
 
 from __future__ import annotations
 

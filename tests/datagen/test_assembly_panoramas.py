@@ -33,7 +33,7 @@ TIMES: tuple[Daytime, ...] = ("day", "night")
 
 
 def write_panorama(root: Path, name: str, daytime: Daytime, value: float = 1.0) -> None:
-    """Write a panorama package of the constant radiance ``value``."""
+    """Write the package of a panorama of constant radiance ``value``."""
     file = root.parent / f"{name}.exr"
     file.parent.mkdir(parents=True, exist_ok=True)
     pixels = np.full((8, 16, 3), value, np.float32)
@@ -106,7 +106,7 @@ def test_white_balance_keeps_a_share_of_the_warmth() -> None:
 
 
 def test_lamps_are_balanced_to_the_light_of_the_room(library: Library) -> None:
-    """Balanced lamps are nearly white at night and warmer by day; without a panorama they are unchanged."""
+    """White balance makes lamps nearly white at night and warmer by day; without a panorama it is off."""
 
     def warmth(**lights: Any) -> float:
         fields = {"area_probability": 1, "color_temperature_k": (2700, 2700), **lights}

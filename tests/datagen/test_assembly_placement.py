@@ -100,7 +100,7 @@ def test_the_slow_check_detects_an_intersection(scenes: list[list[PlacedThing]],
     for one in scenes[0]:
         assert triangles_cross(
             world_triangles(one, -0.002), ground
-        )  # 2 mm lower it intersects the surface, so it does not hover
+        )  # 2 mm lower, it would intersect the surface, so it does not hover
     one = scenes[0][0]
     assert triangles_cross(world_triangles(one), world_triangles(one) + [0.01, 0.013, 0.005])  # noqa: RUF005
 
@@ -171,7 +171,7 @@ def test_category_weights_determine_the_shares(library: Library, room: Room) -> 
 def placed_on(
     tmp_path: Path, shapes: dict[str, trimesh.Trimesh], room: Room, **fields: object
 ) -> Counter[str]:
-    """Try to place one object of these shapes; return the counts of rejections and of ``placed``."""
+    """Try to place one object of these shapes; return counts by reason of rejection, or of "placed"."""
     write_object(tmp_path, "thing", "thing", shapes, **fields)
     thing = things_of(Library([tmp_path]))[0]
     rejections: Counter[str] = Counter()

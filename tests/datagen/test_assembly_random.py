@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Draws depend only on their key and follow the distribution that the method names."""
+"""Random draws depend only on their key and follow the distribution of the method's name."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_distributions_match_and_a_five_percent_error_is_detected(shift: float) 
 def test_sphere_is_uniform_and_unit() -> None:
     directions = Draws(5).sphere(20000)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-12)
-    for axis in range(3):  # by Archimedes each coordinate is uniform
+    for axis in range(3):  # each coordinate is uniform (Archimedes' hat-box theorem)
         assert stats.kstest(directions[:, axis], "uniform", args=(-1, 2)).pvalue > 1e-3
 
 

@@ -83,7 +83,7 @@ def test_partition_uses_all_assets_and_favours_training(library: Library) -> Non
     assert len(pools["train"].environments) == 2
     woods = [p.id for p in pools["train"].materials if "wood" in p.asset.material.classes]  # type: ignore[union-attr]
     assert len(woods) == 5  # one of 6 is reserved for the test split
-    assert "steel" in [p.id for p in pools["train"].materials]  # a class of one asset is used for training
+    assert "steel" in [p.id for p in pools["train"].materials]  # the only asset of a class is for training
 
 
 def test_assets_that_share_a_file_share_a_split(tmp_path: Path, library: Library) -> None:
@@ -178,7 +178,7 @@ def test_all_faults_of_a_recipe_are_reported_at_once(library: Library) -> None:
 
 
 def assign(folder: Path, slot: str | None, pixels: np.ndarray) -> None:
-    """Make an image the diffuse albedo of a room's ``slot`` or, if None, of a material package."""
+    """Use ``pixels`` as the diffuse albedo of a room's ``slot`` or, if None, of a material package."""
     with open_package(folder) as package:
         files: dict[str, bytes | Path] = {
             n: package.read_bytes(n) for n in package.names() if n != "asset.json"

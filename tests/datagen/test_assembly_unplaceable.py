@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Unplaceable assets are reported with the reason, and libraries are drawn by weight."""
+"""Assets that cannot be placed are reported with the reason, and library folders are drawn by weight."""
 
 from __future__ import annotations
 

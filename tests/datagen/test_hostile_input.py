@@ -63,7 +63,7 @@ def memory_stays_low():
 def test_exr_header_that_claims_too_many_pixels_is_refused(
     window: tuple[int, ...], tmp_path: Path, memory_stays_low: None
 ) -> None:
-    """Files of a few kilobytes claim 2.7e8 to 1e9 pixels and are read as a view and as a texture."""
+    """A file of a few kilobytes that claims 2.7e8 to 1e9 pixels is refused as a view and as a texture."""
     data = bytearray(encode_view(make_buffers(8, 8, seed=0)))
     for name in (b"dataWindow\0box2i\0", b"displayWindow\0box2i\0"):
         start = data.index(name) + len(name) + 4
@@ -136,7 +136,7 @@ def test_ply_that_is_shorter_than_its_header_is_refused(tmp_path: Path, memory_s
 
 
 def test_zip_bomb_is_refused(tmp_path: Path, memory_stays_low: None) -> None:
-    """One zip expands from 80 kB to 80 MB, another has a member larger than its directory entry states."""
+    """A zip that expands from 80 kB to 80 MB is refused, and so is one whose directory understates a size."""
     document = json.dumps(valid_documents()["material"][0])
     path = tmp_path / "bomb.zip"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -153,7 +153,7 @@ def test_zip_bomb_is_refused(tmp_path: Path, memory_stays_low: None) -> None:
         archive.writestr("a.png", bytes(1 << 20))
     data = bytearray(stream.getvalue())
     at = data.index(b"PK\x01\x02", data.index(b"PK\x01\x02") + 1)  # the second entry of the directory
-    data[at + 24 : at + 28] = struct.pack("<I", 1000)  # claims a kilobyte and unpacks to a megabyte
+    data[at + 24 : at + 28] = struct.pack("<I", 1000)  # claims a kilobyte but unpacks to a megabyte
     path.write_bytes(data)
     with pytest.raises(InputError), open_package(path) as package:
         package.read_bytes("a.png")
