@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Durability: content is synced before it is named, and a name before files that refer to it.
+"""Durability: content is synced before it gets its final name, and the name before files that refer to it.
 
-A recorder wraps the system calls and notes the file or folder of each.
+A recorder wraps the system calls and records the file or folder of each.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Recorder:
         return [path for kind, path in self.events if kind == "name"]
 
     def check(self) -> None:
-        """Assert that content is synced before it is named, and its folder before the next naming."""
+        """Assert that content is synced before it is named, and its folder before anything else is named."""
         assert not self.unsynced_names
         pending: str | None = None
         for kind, path in self.events:

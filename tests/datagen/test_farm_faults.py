@@ -2,7 +2,8 @@
 """Fault injection: kills at random and chosen moments, full and read-only disks, damaged files, concurrent
 runs, a changed clock.
 
-After each fault one more run completes the dataset with the same bytes.
+After each fault one more run completes the dataset with the same bytes. A unit's marker is the manifest by
+which it counts as done.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def library_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory, library_root: Path) -> DatasetFolder:
-    """A finished dataset; tests use copies of it."""
+    """A finished dataset, made without faults; tests use copies of it."""
     folder = plan_small(tmp_path_factory.mktemp("undisturbed") / "dataset", library_root)
     run_local(folder.root, LocalOptions(workers=1))
     return folder
@@ -142,7 +143,7 @@ def _comes(folder: DatasetFolder, process: subprocess.Popen, moment: str, rng: r
 def _kill_at_random(
     folder: DatasetFolder, script: Path, kills: int, seed: int, moments: tuple[str, ...] = ("any",)
 ) -> Counter[str]:
-    """Kill a worker, or the parent with all workers, ``kills`` times; return counts by moment and victim."""
+    """Kill a worker, or the parent and all workers, ``kills`` times; return counts by moment and victim."""
     rng = random.Random(seed)
     hits: Counter[str] = Counter()
     while hits.total() < kills:
@@ -189,8 +190,8 @@ def test_ten_random_kills(expected: dict[str, str], tmp_path: Path, library_root
 
 @pytest.mark.slow
 def test_fifty_kills_on_each_of_two_datasets(tmp_path: Path, library_root: Path) -> None:
-    """Kill workers and parents at random moments and while a view, a tar or a marker is written.
-    With ``-s``, pytest shows the counts."""
+    """Kill workers and parents at random moments and while a view, a tar or a marker is written; print how
+    often."""
     undisturbed = plan_small(tmp_path / "undisturbed", library_root, num_units=60)
     run_local(undisturbed.root, LocalOptions(workers=2))
     expected = _hashes(undisturbed)
@@ -307,7 +308,7 @@ def test_two_whole_runs_at_once(expected: dict[str, str], tmp_path: Path, librar
 def test_damaged_markers_are_found_and_repaired(
     expected: dict[str, str], tmp_path: Path, undisturbed: DatasetFolder
 ) -> None:
-    """A truncated or linked marker is ignored; one with a wrong shard hash is found by hashing the shard."""
+    """Truncated and symlinked markers are ignored; a wrong shard hash is detected by hashing the shard."""
     folder = _copy(undisturbed, tmp_path / "markers")
     cut, lying, linked = (folder.manifest_path(unit) for unit in folder.read_plan().units)
     cut.write_bytes(cut.read_bytes()[:50])
@@ -325,7 +326,7 @@ def test_damaged_markers_are_found_and_repaired(
 
 
 def test_changed_configurations_are_refused(tmp_path: Path, undisturbed: DatasetFolder) -> None:
-    """A changed digit in a configuration would give other pixels than planned."""
+    """A configuration with a changed digit is not rendered, since it is not what was planned."""
     folder = _copy(undisturbed, tmp_path / "flipped", without=(1,))
     path = folder.configuration_path("small-00001")
     path.write_text(path.read_text().replace('"seed": 11', '"seed": 10'))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Only leftovers of killed or duplicate attempts and of full disks are found, reported and removed."""
+"""Leftovers of killed or duplicate attempts and of full disks, and no other files, are found and removed."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def _touch(root: Path, names: Iterable[str]) -> set[str]:
 def test_a_crash_between_the_shard_and_its_marker_leaves_a_leftover(
     folder: DatasetFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A tar that no marker names is reported by verify and removed by collect."""
+    """A tar that no unit's manifest names is reported by ``verify`` and removed when the index is written."""
 
     def crash(run: UnitRun, manifest: object) -> None:
         raise SystemExit("killed")
@@ -134,7 +134,7 @@ def test_only_unreferenced_files_are_removed(folder: DatasetFolder) -> None:
 
 
 def test_files_of_running_attempts_are_kept(folder: DatasetFolder) -> None:
-    """An attempt with a heartbeat in the last ten minutes may be about to write the marker."""
+    """Files without a manifest are kept while the attempt's heartbeat is less than ten minutes old."""
     undone = folder.read_plan().units[1]
     _touch(
         folder.root, [f"shards/{undone.id}-0123456789abcdef.tar", f"shards/.{undone.id}.0123456789ab.partial"]
@@ -206,7 +206,7 @@ def test_a_disk_too_small_for_the_estimate_is_reported_before_work(
 def test_jobs_are_not_submitted_to_a_disk_too_small(
     tmp_path: Path, library_root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The estimate assumes as many concurrent units as the throttle permits, without a throttle only one."""
+    """The estimate assumes as many concurrent units as the throttle permits, or one without a throttle."""
     root = plan_small(tmp_path / "set", library_root, num_units=3).root
     usage, three = shutil.disk_usage(root), needed_space(DatasetFolder(root), workers=3).total_bytes
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=int(three) - 1))
@@ -228,7 +228,7 @@ def test_jobs_are_not_submitted_to_a_disk_too_small(
 def test_views_in_progress_need_no_more_than_estimated(
     keep_noisy: bool, light: bool, tmp_path: Path, library_root: Path
 ) -> None:
-    """A view is rendered without compression, then stored again with statistics."""
+    """Without compression, the estimate covers both copies of a view: as rendered and with statistics."""
     folder = plan_small(tmp_path / "set", library_root, num_units=1, light=light)
     recipe = folder.read_recipe()
     render = recipe.render.model_copy(update={"keep_noisy": keep_noisy})

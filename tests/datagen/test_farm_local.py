@@ -103,7 +103,7 @@ def test_a_killed_worker_loses_its_unit_only_and_no_finished_views(
             kills.append(unit)
             kept.update({p: p.stat().st_mtime_ns for p in folder.root.glob(f"work/{unit}-*/rendered/*.exr")})
             for child in psutil.Process().children():
-                with suppress(psutil.Error):  # a child of another test may just end
+                with suppress(psutil.Error):  # a child of another test may be ending
                     if "spawn_main" in " ".join(child.cmdline()):
                         child.kill()
         if kind == "progress" and stage == "stats" and done == 0:

@@ -63,7 +63,7 @@ _QDEL = '#!/bin/bash\nprintf \'%s\\n\' "qdel $*" >> "$NOTES"\n'
 
 @dataclass
 class Desk:
-    """A planned folder and the recorded calls of substitute commands."""
+    """A planned folder, and the calls that the substitute commands recorded in ``notes``."""
 
     folder: DatasetFolder
     notes: Path
@@ -126,7 +126,7 @@ def test_long_plans_become_several_arrays(desk: Desk) -> None:
 
 
 def test_interrupted_jobs_resubmit_themselves(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The slow unit gets a signal two seconds before its limit of four, stops, and is submitted again."""
+    """The slow unit is signalled two seconds before its limit of four, stops, and is submitted again."""
     monkeypatch.setenv("SLOW_UNIT", "1")
     root = desk.folder.root
     submit(root, SlurmOptions(time_limit="0:04", notice_s=2), "pbs")
@@ -137,7 +137,7 @@ def test_interrupted_jobs_resubmit_themselves(desk: Desk, monkeypatch: pytest.Mo
 
 
 def test_units_that_resubmit_themselves_are_collected(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The array ends before the new job of its interrupted unit starts."""
+    """The index is written after an interrupted unit, whose new job starts only when the array has ended."""
     monkeypatch.setenv("SLOW_UNIT", "1")
     monkeypatch.setenv("LATE", "1")
     root = desk.folder.root

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""`farm submit` with hostile names and options: its scripts run under bash with recording commands.
+"""`farm submit` with hostile names and options: its scripts run under bash with substitute commands.
 
-The substitute `sbatch` records its arguments and runs the script as Slurm would, one task after another.
+These record their arguments; `sbatch` also runs the script as Slurm would, one task after another.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _WORDS = {
 
 @dataclass
 class Desk:
-    """A planned folder and the records of substitute commands, which are the only ones on PATH."""
+    """A planned folder, and the records of the substitute commands, which alone are on PATH."""
 
     folder: DatasetFolder
     notes: Path
@@ -77,7 +77,7 @@ class Desk:
         """Return the commands that bash executed and the variables that it assigned, and clear the trace."""
         text = self.trace.read_text() if self.trace.exists() else ""
         self.trace.write_text("")
-        # bash marks a script's commands with one plus, those in substitutions with more
+        # `bash -x` prefixes commands with one plus sign, and those in substitutions with more
         commands = re.findall(r"^(\++) (?:'?)([^\s=']*)", text, re.M)
         return {word if len(depth) == 1 else f"nested {word}" for depth, word in commands}
 
@@ -106,7 +106,7 @@ def desk(planned: DatasetFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def _expected(root: str) -> list[list[str]]:
-    """Return the commands expected for two units and their collection, except sbatch and squeue."""
+    """Return the commands expected of the jobs for two units and of the collecting job."""
     units = [["datagen", "run", root, "--unit", str(index), "--attempts", "3"] for index in (0, 1)]
     workers = ["--workers", "1"]
     return [
@@ -129,7 +129,7 @@ def _check_nothing_else_ran(desk: Desk, root: str) -> None:
 
 @pytest.mark.parametrize("name", HOSTILE, ids=[ascii(name) for name in HOSTILE])
 def test_a_hostile_folder_name_executes_nothing(name: str, desk: Desk, tmp_path: Path) -> None:
-    """Submission either works or is refused, but the shell never interprets the name."""
+    """Submission works or is refused; the shell never interprets the name."""
     root = Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + os.fsencode(name)))
     root.parent.mkdir(parents=True, exist_ok=True)
     desk.folder.root.rename(root)
@@ -230,7 +230,7 @@ def _directives(script: Path) -> dict[str, str | None]:
 
 
 def test_a_plan_longer_than_an_array_is_split_completely(tmp_path: Path) -> None:
-    """Slurm's largest index is MaxArraySize - 1, so indices of each array start at 0."""
+    """Indices of each array start at 0, because Slurm's largest index is MaxArraySize - 1."""
     root = plan_small(tmp_path / "set", tmp_path / "library", 5, num_views=1).root
     *arrays, collect = submit(root, SlurmOptions(max_array=3), dry_run=True).scripts
     assert [path.name for path in (*arrays, collect)] == [
@@ -293,7 +293,7 @@ def test_all_options_that_the_scripts_set_are_refused_at_once() -> None:
 
 @pytest.mark.parametrize(("failing", "code"), [("none", 0), ("status", 1), ("verify", 2), ("report", 3)])
 def test_the_collecting_job_returns_its_result(desk: Desk, failing: str, code: int, tmp_path: Path) -> None:
-    """Every step runs even if an earlier one fails."""
+    """Every step runs even if an earlier one fails, and the job returns the exit code of the failed step."""
     program = tmp_path / "programs" / "datagen"
     program.write_text(
         f'#!/bin/bash\necho "$*" >> {tmp_path}/steps\ncase "$*" in *{failing}*) exit {code};; esac\n'

@@ -36,7 +36,7 @@ VIEWS = ["view-000", "view-001"]
 
 @dataclass
 class Made:
-    """A committed unit, copies of its folder after each stage, and its reported progress."""
+    """A finished unit, copies of its dataset folder after each stage, and the progress that it reported."""
 
     folder: DatasetFolder
     after: dict[str, DatasetFolder]
@@ -50,7 +50,7 @@ class Made:
         return UnitRun(folder, plan.units[0], recipe, self.library, plan.versions, plan.variant, **more)
 
     def copy(self, stage: str, root: Path) -> DatasetFolder:
-        """Copy the folder as it was after a stage to ``root``."""
+        """Copy the folder as it was after ``stage`` to ``root``."""
         shutil.copytree(self.after[stage].root, root)
         return DatasetFolder(root)
 
@@ -82,7 +82,7 @@ def names(folder: Path) -> list[str]:
 def test_stages_leave_their_files_and_report_progress(made: Made) -> None:
     unit = made.folder.read_plan().units[0]
     rendered = made.after["render"].work_path(unit)
-    assert names(rendered) == ["rendered"]  # and no heartbeat file
+    assert names(rendered) == ["rendered"]  # no heartbeat file
     assert names(rendered / "rendered") == [f"{v}.{s}" for v in VIEWS for s in ("exr", "json", "timing")]
     complete = made.after["stats"].work_path(unit)
     assert names(complete / "complete") == [f"{v}.{s}" for v in VIEWS for s in ("exr", "json")]
@@ -114,7 +114,7 @@ def test_the_manifest_describes_the_shard(made: Made) -> None:
 
 
 def test_memory_is_reported_in_megabytes(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The operating system counts memory in units of 1024 bytes."""
+    """The operating system reports memory in units of 1024 bytes."""
     folder = made.copy("stats", tmp_path / "a")
     usage = SimpleNamespace(ru_maxrss=3000 * 1024)
     monkeypatch.setattr(resource, "getrusage", lambda who: usage)
@@ -133,7 +133,7 @@ def test_a_stage_without_the_previous_one_names_it(made: Made, tmp_path: Path) -
 
 
 def test_finished_views_are_kept_and_damaged_ones_are_not(made: Made, tmp_path: Path) -> None:
-    """Views finished before the stop request are kept; the next attempt makes the missing ones."""
+    """Views finished before a stop request are kept; the next attempt renders missing and damaged ones."""
     folder = made.copy("render", tmp_path / "a")
     run = made.attempt(folder)
     first, second = (run.rendered_path / f"{name}.exr" for name in VIEWS)
@@ -208,7 +208,7 @@ def of_another_hash(folder: DatasetFolder, manifest: UnitManifest) -> UnitManife
 def test_the_first_marker_wins_unless_it_is_invalid(
     made: Made, tmp_path: Path, there: Change | None, wins: bool
 ) -> None:
-    """An attempt that ends after another keeps the other's marker if valid and replaces it otherwise."""
+    """An attempt that ends after another keeps the other's manifest if valid, and replaces it otherwise."""
     folder = made.copy("pack", tmp_path / "a")
     manifest = manifest_of(folder)
     path = folder.manifest_path(folder.read_plan().units[0])
@@ -281,11 +281,11 @@ def test_the_index_lists_done_and_missing_units(made: Made, tmp_path: Path) -> N
     assert (index.num_views, index.num_bytes, index.buffers, index.assets) == (0, 0, (), {})
 
 
-# ---- status of synthetic markers ------------------ --------------------------------------------------------
+# ---- status of synthetic manifests -------------------------------------------------------------------------
 
 
 def finish(folder: DatasetFolder, index: int, ago_s: float, now: float, *seconds: float) -> None:
-    """Write a unit's shard and a marker of the stage times ``seconds``, dated ``ago_s`` before ``now``."""
+    """Write a unit's shard and a manifest with stage times ``seconds``, dated ``ago_s`` before ``now``."""
     unit = folder.read_plan().units[index]
     shard = folder.shards_path / f"{unit.id}.tar"
     for path in (folder.shards_path, folder.units_path):

@@ -19,7 +19,7 @@ from datagen.farm.local import LocalOptions, run_local
 from tests.conftest import REPOSITORY
 from tests.datagen.small_plan import plan_small
 
-# Workers import this file as their main module and so use its replacement of `run_unit`.
+# Workers import the script as their main module, so `run_unit` is replaced in them, too.
 SCRIPT = """
 import json, os, signal, sys
 from pathlib import Path
@@ -66,7 +66,7 @@ def library_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _run(folder: DatasetFolder, fault: str, **options: Any) -> tuple[dict, list[tuple[str, int]]]:
-    """Run a folder with a fault; return the summary and the (unit, process id) of each attempt in order."""
+    """Run a folder with a fault; return the summary and (unit, process id) of each attempt, in order."""
     script = folder.root.parent / "run.py"
     script.write_text(SCRIPT)
     result = subprocess.run(
@@ -91,7 +91,7 @@ def test_workers_are_replaced_after_a_number_of_units(tmp_path: Path, library_ro
 
 
 def test_workers_are_replaced_when_their_memory_has_grown(tmp_path: Path, library_root: Path) -> None:
-    """At 60 MB per unit a worker exceeds the limit of 100 MB growth after its third unit."""
+    """A worker that grows by 60 MB per unit is replaced after its third unit if the limit is 100 MB."""
     folder = plan_small(tmp_path / "set", library_root, num_units=5, num_views=1)
     summary, attempts = _run(folder, "grow", max_growth_mb=100, stages=[])
     assert len(summary["done"]) == 5 and _units_a_process(attempts) == [3, 2]
@@ -107,7 +107,8 @@ Deaths = tuple[DatasetFolder, dict, list[tuple[str, int]]]
 
 @pytest.fixture(scope="module")
 def deaths(tmp_path_factory: pytest.TempPathFactory, library_root: Path) -> dict[str, Deaths]:
-    """Folder, summary and attempts of a run by fault: units 1 and 2 die, or unit 1 exhausts the memory."""
+    """Folder, summary and attempts of one run per fault: "die" (the workers of units 1 and 2 are killed) and
+    "exhaust" (unit 1 exhausts the memory)."""
     found = {}
     for fault, num_units in (("die", 4), ("exhaust", 3)):
         root = tmp_path_factory.mktemp(fault) / "a set"
@@ -146,7 +147,8 @@ def test_a_worker_that_dies_loses_its_unit_only(
 
 
 def test_outcomes_during_a_stop_count(tmp_path: Path, library_root: Path) -> None:
-    """A unit finished in the grace period is done, a failed one recorded, a dead worker neither."""
+    """A unit that finishes in the grace period is done, one that fails is recorded as failed, and one whose
+    worker dies is neither."""
     folder = plan_small(tmp_path / "set", library_root, num_views=1)
     summary, _ = _run(folder, "stop", workers=3, attempts=1, stages=[])
     assert summary["done"] == ["small-00000"]
