@@ -440,7 +440,7 @@ def test_images_of_furniture_are_copied_unchanged(tmp_path: Path, shared_data: P
 def test_a_set_can_be_split_into_objects(tmp_path: Path, shared_data: Path) -> None:
     path = shared_data / "furniture" / "living_room_polyhaven" / "assets" / "tea_set_01_1k.gltf"
     records = import_asset(path, tmp_path, split=True)
-    assert len(records) == 8  # of ten nodes: each of the two lids joins its pot
+    assert len(records) == 8  # of ten nodes, because each of the two lids joins its pot
     for record in records:
         asset = open_package(record.path).asset
         assert isinstance(asset, ObjectAsset)

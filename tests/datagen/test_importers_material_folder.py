@@ -171,7 +171,7 @@ def test_names_determine_classes_and_categories() -> None:
 def test_records_follow_the_bar_of_an_import(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A bar of the sources is shown on terminals only; records of assets are printed after it."""
+    """On terminals, a progress bar is shown and the lines about imported assets are printed after it."""
     folder = tmp_path / "Oak001"
     folder.mkdir()
     for role, channels in (("Color", 3), ("Roughness", 1)):

@@ -48,7 +48,7 @@ def size_of(record: ImportedAsset) -> np.ndarray:
 
 
 def write_obj(folder: Path, texture: str = "") -> Path:
-    """Write an OBJ box with Y up, half oak with a ``texture``, if given, half steel; return its path."""
+    """Write an OBJ box with Y up, half oak (with ``texture``, if given) and half steel; return its path."""
     mesh = box()
     points = np.asarray(mesh.vertices)[:, [0, 2, 1]] * [1, 1, -1]  # Z up to Y up
     lines = ["mtllib sofa.mtl", *(f"v {x} {y} {z}" for x, y, z in points)]
@@ -82,7 +82,7 @@ def test_obj_keeps_size_materials_and_triangles(tmp_path: Path) -> None:
 
 
 def test_corners_of_different_kinds_are_distinguished() -> None:
-    """One corner has no UV and one has a normal, but the total number of indices suits uniform corners."""
+    """One corner lacks a UV and one has a normal, so the number of indices is that of uniform corners."""
     corners = [b"%d/%d" % (k + 1, 300 - k) for k in range(300)]
     corners[1], corners[2] = b"2", b"3/298/7"
     found = corner_indices(corners, (300, 300, 9))
@@ -173,7 +173,7 @@ def test_damaged_files_are_refused(tmp_path: Path, name: str, data: bytes, messa
 
 @pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj"])
 def test_readers_spend_the_budget(tmp_path: Path, suffix: str) -> None:
-    """The vertex pairs of a fan of 4,000 triangles exceed the limit, since their number is quadratic."""
+    """A fan of 4,000 triangles around one vertex exceeds the limit of pairs, whose number is quadratic."""
     ring = [(np.cos(a), np.sin(a), 0.1 * (k % 2)) for k, a in enumerate(np.linspace(0, 6.28, 4000))]
     faces = [(0, k, k + 1) for k in range(1, len(ring))]
     fan = trimesh.Trimesh([(0, 0, 0), *ring], faces, process=False)

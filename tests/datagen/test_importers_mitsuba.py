@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Mitsuba scenes as packages: parsing, materials compared with Mitsuba, policies, lights, markers."""
+"""Mitsuba scenes as packages: parsing, materials compared with Mitsuba, policies, lights, camera regions."""
 
 from __future__ import annotations
 
@@ -471,7 +471,7 @@ def test_daylight_keeps_its_scales(
 
 @pytest.mark.parametrize("name", ["measured", "convert", "nested", "lobe_width"])
 def test_unknown_bsdfs_are_refused_by_name(tmp_path: Path, name: str) -> None:
-    """Names of the importer's functions are refused like any unknown type."""
+    """Types that equal names of the importer's functions are refused like any unknown type."""
     scene = f'<shape type="cube"><bsdf type="{name}"/></shape>'
     with pytest.raises(InputError, match=f"type '{name}'.*a supported BSDF: diffuse, plastic"):
         imported(tmp_path, scene)

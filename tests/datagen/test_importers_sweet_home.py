@@ -220,7 +220,7 @@ def test_concave_polygons_are_cut_inside_their_outline() -> None:
             crosses = np.cross(cut[:, 1] - cut[:, 0], cut[:, 2] - cut[:, 0])
             assert len(cut) == 4
             assert np.isclose(0.5 * np.linalg.norm(crosses, axis=1).sum(), 7)  # a fan would cover more
-            assert np.isclose(0.5 * np.linalg.norm(crosses.sum(axis=0)), 7)  # with equal orientation
+            assert np.isclose(0.5 * np.linalg.norm(crosses.sum(axis=0)), 7)  # all triangles face the same way
     dart = b"v 0 0 0\nv 1 1 0\nv 0 3 0\nv -1 1 0\nv 0 2 0\nf 1 2 5 4\nf 2 5 4 1\n"
     model = read_obj_model(dart.replace(b"f 2 5 4 1\n", b""), "dart.obj", Budget("x"))
     assert np.isclose(model.surfaces[0].mesh.areas().sum(), 2 * 0.5 * 1 * 2)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Packages as containers, and the full check of their contents."""
+"""Packages as containers, and the full check of their meshes, images and descriptions."""
 
 from __future__ import annotations
 
@@ -397,7 +397,7 @@ def test_ply_round_trip_and_foreign_layouts() -> None:
 
 
 def test_normals_that_cancel_or_are_missing_follow_a_surface() -> None:
-    """Normals of opposite triangles cancel; an arbitrary replacement could be in their plane."""
+    """Where normals of opposite triangles cancel, an arbitrary replacement could be in their plane."""
     positions = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1]], np.float32)
     mesh = Mesh(positions, np.array([[0, 1, 2], [2, 1, 0]], np.int32))
     normals = vertex_normals(mesh)

@@ -38,7 +38,7 @@ SEEDS = ("1", "2", "3")
 
 
 class _Made(NamedTuple):
-    """A generated room, its package as zip bytes and in memory, and the processor time of both."""
+    """A generated room, its package as the bytes of a zip and in memory, and the processor time of all."""
 
     room: MadeRoom
     data: bytes
@@ -80,7 +80,7 @@ def test_rooms_are_sound_and_packages_valid(kind: str) -> None:
 
 
 def test_a_room_takes_less_than_two_seconds() -> None:
-    """A room and its package take a median processor time of 0.3 s and a maximum of 0.9 s, as measured."""
+    """The measured processor time of a room and its package is 0.3 s in the median and at most 0.9 s."""
     seconds = {kind: _made(kind, SEEDS[0]).seconds for kind in sorted(KINDS)}
     assert max(seconds.values()) < 2.0, seconds
 
@@ -91,7 +91,7 @@ def test_few_rooms_are_rejected() -> None:
 
 
 def test_bytes_depend_on_kind_and_seed_alone() -> None:
-    """A process with another hash seed that makes the rooms in another order gives the same zips."""
+    """A process with another hash seed that makes the rooms in reverse order gives the same zips."""
     wanted = [("hallway", "1"), ("cafe", "2"), ("bedroom", "3")]
     code = (
         "from datagen.formats.base import sha256_hex; from datagen.parametric.packing import room_package\n"
@@ -105,7 +105,7 @@ def test_bytes_depend_on_kind_and_seed_alone() -> None:
 
 
 def test_slots_are_of_metal_in_their_share_of_rooms() -> None:
-    """Slots drawn as metal are replaceable only by metal, and their share agrees with ``metal_share``."""
+    """The share of slots that only metal may replace agrees with ``metal_share``, within three sigma."""
     found: dict[str, list[bool]] = {}
     for kind in sorted(KINDS):
         for seed in SEEDS:
@@ -138,14 +138,14 @@ def test_three_quarters_of_the_shades_are_luminous() -> None:
             area = 0.5 * float(np.linalg.norm(cross, axis=1).sum())
             assert lamp.area_m2 == pytest.approx(area, rel=0.12)  # circles are polygons with rims
             is_luminous = all(slot != "shade" for slot, _ in item.shapes)
-            if is_luminous:  # its side is visible from eye level
+            if is_luminous:  # it extends vertically, so it is visible from eye level
                 assert np.ptp(shape.points[:, 2]) > 0.1 and lamp.area_m2 > 0.05
             luminous += is_luminous
         assert 0.6 < luminous / 120 < 0.88, name
 
 
 def test_doors_have_switches_and_walls_sockets() -> None:
-    """Most doors have switches, unless a corner or cupboard is in the way, and most rooms have sockets."""
+    """Doors have switches unless a corner or cupboard is in the way, and most rooms have sockets."""
     doors = switches = sockets = 0
     for kind in sorted(KINDS):
         for seed in SEEDS:
@@ -271,7 +271,7 @@ def test_a_blocked_door_is_detected() -> None:
 
 
 def test_a_door_that_just_clears_is_not_blocked() -> None:
-    """A post in the bounding square of a door's swing but outside its quarter disc does not block it."""
+    """A post in the bounding square of a door's swing, but outside its quarter disc, does not block it."""
     room = _room("study", "1")
     shell = room.furnished.shell
     door = shell.doors[0]
@@ -314,7 +314,7 @@ def test_a_room_without_a_free_path_is_detected() -> None:
 
 @pytest.mark.parametrize("kind", ["cafe", "living_room", "bathroom", "workshop"])
 def test_no_triangles_cross(kind: str) -> None:
-    """FCL finds no intersecting triangles of objects; those that stand on others are lifted by 1 mm."""
+    """FCL finds no intersections between objects; objects that stand on others are first lifted by 1 mm."""
     room = _room(kind, "3")
     items = room.furnished.items
     bounds = [hull_of(p.boxes()) for p in items]

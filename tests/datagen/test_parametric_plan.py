@@ -127,7 +127,7 @@ def test_a_folder_of_an_older_plan_revision_is_refused(
 
 
 def test_plain_slots_get_materials(planned: DatasetFolder, library: Library) -> None:
-    """Every slot of constant colour is assigned a material if the library has a suitable one."""
+    """Slots of constant colour are assigned a material wherever the library has a suitable one."""
     recipe = _recipe()
     for unit in planned.read_plan().units:
         configuration = planned.read_configuration(unit)
