@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Window bars one pixel wide keep their values between bright panes, and the recorded error is correct."""
+"""Window bars one pixel wide keep their radiance between bright panes, and the recorded error is correct."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Window:
     truth: tuple[NDArray[np.float32], NDArray[np.float32]]
 
     def of_bars(self, image: NDArray) -> NDArray[np.float64]:
-        """Return the exposed luminance (N,) of the bars' pixels without the ends of the bars."""
+        """Return the exposed luminance (N,) of the pixels of the bars, except their ends."""
         scale = exposure_for(0.5 * (self.truth[0] + self.truth[1]))
         window = np.zeros(image.shape[:2], bool)
         for column in BAR_COLUMNS:
@@ -48,8 +48,8 @@ class Window:
 
 
 def behind_bars() -> SmallScene:
-    """Return a wall with a barred window and a board behind it, all of one material.
-    Neither albedo nor normal separates a bar from the board."""
+    """Return a wall with a barred window and a board behind it, all of one material and orientation, so that
+    neither albedo nor normal separates a bar from the board."""
 
     def x(column: float) -> float:
         return (column - WIDTH / 2) * PIXEL_M
@@ -98,7 +98,7 @@ def window(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Wi
 
 
 def test_bars_keep_their_values(window: Window) -> None:
-    """Panes are over 20 times as bright as white; denoising alone would make the bars twice too bright."""
+    """The panes exceed 20 times white; denoising alone would double the brightness of the bars."""
     truth = 0.5 * (window.truth[0] + window.truth[1])
     assert exposure_for(truth) * truth.max() > 20
     ratios = window.of_bars(window.view.buffers["beauty"]) / window.of_bars(truth)
@@ -107,7 +107,7 @@ def test_bars_keep_their_values(window: Window) -> None:
 
 
 def test_recorded_error_of_bars_is_the_true_error(window: Window) -> None:
-    """The recorded error is within a factor of 2; without its part from noisy pixels it would be too low."""
+    """The recorded error is within a factor of 2; without that of pixels kept noisy, it would be too low."""
     recorded = window.view.render.estimated_rel_mse
     true = relative_mse(window.view.buffers["beauty"], *window.truth, exposed=True)
     assert recorded is not None and 0.5 * true < recorded < 2.0 * true
@@ -134,7 +134,7 @@ def test_only_noisy_pixels_beside_bright_ones_are_kept() -> None:
     assert elsewhere[20:28, 30:34].mean() < 0.2 and not share[:, :25].any()
     assert noisy_share(halves, truth, black)[20:28, 32].mean() < 0.2  # a correct bar is unchanged
     dim = truth.copy()
-    dim[20:28, 30:34], dim[20:28, 32] = 1.8, 0.3  # panes barely brighter than white hardly bleed
+    dim[20:28, 30:34], dim[20:28, 32] = 1.8, 0.3  # panes little brighter than white hardly bleed
     wrong = dim.copy()
     wrong[20:28, 32] = 1.2
     assert not noisy_share(halves_of(dim, 0.15), wrong, black).any()

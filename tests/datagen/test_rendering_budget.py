@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rendering to an error target: recipe fields, the estimate from two halves, ceilings, clamp, equal bytes."""
+"""Rendering to an error target: recipes, the estimate from two halves, ceilings, clamp, reproducibility."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ NUM_TRIALS = 12
 
 
 def blur(image: Image, width: int) -> Image:
-    """Denoise with known bias by the mean over ``width`` x ``width`` pixels, mirrored at the border."""
+    """Denoise with known bias: by the mean over ``width`` x ``width`` pixels, mirrored at the border."""
     from scipy.ndimage import uniform_filter
 
     return uniform_filter(image, (width, width, 0), mode="mirror").astype(np.float32)
@@ -104,7 +104,7 @@ def truth() -> Image:
 
 
 def noisy_pair(rng: np.random.Generator, sigma: float, shared: float = 0.0) -> tuple[Image, Image]:
-    """Return two images of relative noise ``sigma``; a share ``shared`` of its variance is common to them."""
+    """Return two images of relative noise ``sigma``; a part ``shared`` of its variance is common to both."""
     noise = rng.normal(0.0, sigma, (3, *SIZE, 3))
     own, common = math.sqrt(1 - shared), math.sqrt(shared)
     a, b = (truth() * (1 + own * n + common * noise[2]) for n in noise[:2])
@@ -213,15 +213,15 @@ def test_passes_triple_until_target_or_ceiling() -> None:
 
 
 def test_samples_are_spent_where_the_halves_differ() -> None:
-    """Squared errors fall as 1 / samples, so their sum is least for counts proportional to their roots."""
+    """Squared errors fall as 1 / samples, so counts proportional to their square roots minimise their sum."""
     bright = (np.arange(SIZE[1]) // TILE_PX == 3) & (np.arange(SIZE[0])[:, None] // TILE_PX == 2)
     counts = np.full(SIZE, 64, np.int64)
     added = SampleBudget(0.001, 4096).next_counts(counts, estimate_of(0.01, np.where(bright, 16.0, 1.0)))
-    assert np.unique(added[bright]) == 3 * 64  # the maximum per pass
+    assert np.unique(added[bright]) == 3 * 64  # the maximum of a pass
     far = ~ndimage.binary_dilation(bright, iterations=TILE_PX, structure=np.ones((3, 3)))
     assert 64 < np.unique(added[far]).item() < 128 and added.mean() <= 128
     assert (added[~far] >= added[far].max()).all() and added[~far].mean() > added[far].max()
-    missed = np.where(bright, 1.0, 0.0)  # other pixels found no light but get some samples
+    missed = np.where(bright, 1.0, 0.0)  # pixels that have found no light get some samples, too
     counts[bright] = 512
     assert (SampleBudget(0.001, 4096).next_counts(counts, estimate_of(0.01, missed))[~bright] > 0).all()
 
@@ -233,7 +233,7 @@ def test_a_near_target_needs_few_samples() -> None:
 
 
 def test_passes_are_no_shorter_than_an_error_estimate() -> None:
-    """A quarter of two samples would suffice, but takes less time than the estimate that follows."""
+    """A quarter of the present two samples would suffice, but takes less time than an error estimate."""
     errors = np.random.default_rng(1).exponential(1.0, SIZE)
     added = SampleBudget(0.01, 4096).next_counts(np.full(SIZE, 2, np.int64), estimate_of(0.0101, errors))
     assert MIN_ADDED / 2 < added.mean() <= MIN_ADDED
@@ -243,7 +243,7 @@ def test_passes_are_no_shorter_than_an_error_estimate() -> None:
 
 
 def test_pixels_of_different_counts_have_the_same_expectation(budgeted: SceneRenderer) -> None:
-    """Means of few and many samples agree, and noise falls with the counts."""
+    """Pixels of few and of many samples agree in the mean, and noise falls with the counts."""
     sensor = budgeted.sensor(CAMERAS[1])
     width, height = (int(v) for v in sensor.film().crop_size())
     counts = np.full((height, width), 8, np.int64)
@@ -291,7 +291,8 @@ def test_target_is_met_and_recorded(budgeted: SceneRenderer) -> None:
 
 
 def test_record_is_compared_with_the_target(budgeted: SceneRenderer) -> None:
-    """The recorded error includes the standard error, since low estimates, often by chance, stop a view."""
+    """The recorded error includes the standard error, because a view stops at an estimate that may be low by
+    chance."""
     for passes in (1, 3):
         job = budgeted.view_job(1)
         for _ in range(passes):
@@ -309,7 +310,7 @@ def test_ceiling_is_kept_and_recorded(tmp_path: Path) -> None:
 
 
 def test_budgeted_views_do_not_depend_on_order_or_other_views(budgeted: SceneRenderer) -> None:
-    """Remaining views of an interrupted run have the same bytes and record when rendered later."""
+    """A view has the same bytes and record if rendered alone, as after an interruption."""
     together = list(budgeted.render_views([2, 0, 1]))
     assert [view.index for view in together] == [2, 0, 1]
     alone = budgeted.render_view(0)
@@ -318,7 +319,7 @@ def test_budgeted_views_do_not_depend_on_order_or_other_views(budgeted: SceneRen
 
 
 def test_a_view_with_enough_samples_stops_and_is_finished(tmp_path: Path) -> None:
-    """A view stops after one pass, far above its error target."""
+    """A view that ``is_enough`` accepts stops after one pass, far above its error target."""
     asked: list[tuple[int, tuple[int, ...], float]] = []
 
     def is_enough(index: int, image: NDArray, estimate: ErrorEstimate) -> bool:
@@ -371,10 +372,11 @@ def test_halves_of_a_view_are_independent(budgeted: SceneRenderer) -> None:
         view.add_pass(count)
     sensor = budgeted.sensor(CAMERAS[1])
     converged = [budgeted.tracer.accumulate(sensor, 512, seed).mean() for seed in (5, 6)]
-    lit = (converged[0] > 0).all(axis=-1)  # some of 1,536 pixels show no surface
+    lit = (converged[0] > 0).all(axis=-1)  # some pixels show no surface
 
     def correlation(*halves: PathSums) -> float:
-        """Return the rank correlation of two images' noise, each relative to a separate reference.
+        """Return the rank correlation of two images' relative noise, measured against separate references.
+
         For independent noise its standard deviation is 1 / sqrt(pixels)."""
         noise = [
             luminance(half.mean() - image)[lit] / luminance(image)[lit]
@@ -389,7 +391,7 @@ def test_halves_of_a_view_are_independent(budgeted: SceneRenderer) -> None:
 
 
 def test_recorded_kernels_serve_every_call(budgeted: SceneRenderer) -> None:
-    """Cameras, sizes, counts and limits are inputs of the recorded kernels, not constants."""
+    """Cameras, image sizes, sample counts and clamps are inputs of the recorded kernels, not constants."""
     tracer = budgeted.tracer
     counts = np.full((CAMERAS[0].height_px, CAMERAS[0].width_px), 2, np.int64)
     counts[::3] = 6
@@ -416,7 +418,7 @@ def test_recorded_kernels_serve_every_call(budgeted: SceneRenderer) -> None:
 
 
 def test_concurrently_open_scenes_are_independent(budgeted: SceneRenderer, tmp_path: Path) -> None:
-    """Kernels of one scene neither block those of another nor use its lights; one scene has no lights."""
+    """Kernels of one scene neither block those of another nor use its lights."""
     recipe = render(path_samples=2, auxiliary_samples=4, denoise=False)
     sky = EnvironmentLight(name="sky", radiance=(0.5, 1.0, 2.0))
     dark = renderer(tmp_path / "dark", box_room(), CAMERAS, recipe, objects=OBJECTS, lights=())
@@ -444,11 +446,11 @@ def test_clamp_removes_the_recorded_light(budgeted: SceneRenderer) -> None:
 
 
 def test_clamp_keeps_direct_light(budgeted: SceneRenderer) -> None:
-    """With a clamp near zero only light after a single reflection remains."""
+    """With a clamp near zero, only light after a single bounce remains."""
     sensor = budgeted.sensor(CAMERAS[1])
     clamped = budgeted.tracer.accumulate(sensor, 32, 9, limit=1e-9)
     short = PathTracer(budgeted.built, budgeted.materials, 2, 5).accumulate(sensor, 32, 9)
-    # Random numbers differ from the second vertex on.
+    # Only the random numbers from the second vertex on differ.
     assert clamped.radiance == pytest.approx(short.radiance, rel=1e-4, abs=1e-4)
     assert clamped.removed_share() > 0.1
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Path depth from the mean reflectance of surfaces: its formula, and a furnace where that is exact."""
+"""Path depth from the mean reflectance of surfaces: its formula, and a furnace in which that is exact."""
 
 from __future__ import annotations
 

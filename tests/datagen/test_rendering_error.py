@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""relMSE: its definition, its unbiased form from two references, and its independence of exposure."""
+"""relMSE: its definition, its unbiased estimate from two references, and its independence of exposure."""
 
 from __future__ import annotations
 

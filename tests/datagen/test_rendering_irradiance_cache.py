@@ -40,7 +40,7 @@ def cells_at(cells: Any, points: Any, normal: tuple[float, float, float]) -> tup
 
 
 def box_points(scale: float = 1.0) -> NDArray[np.float64]:
-    """Points (N, 3) on the faces of ``BOX_M`` x ``scale``."""
+    """Return random points (N, 3) on the faces of ``BOX_M``, scaled by ``scale``."""
     numbers = np.random.default_rng(3).random((20000, 3))
     axis = np.arange(len(numbers)) % 3
     numbers[np.arange(len(numbers)), axis] = np.arange(len(numbers)) % 2
@@ -55,7 +55,7 @@ def test_cells_distinguish_positions_and_orientations() -> None:
     points = [[0.03, 0.53, 0.01], [0.034, 0.52, 0.0], [0.06, 0.53, 0.01], [-0.3, 0.5, 0.5], [1.0, 0.5, 0.5]]
     index, is_inside = cells_at(cells, points, (0, 0, 1))
     assert index[0] == index[1] != index[2]
-    assert is_inside.tolist() == [True, True, True, False, False]  # outside, and far from all points
+    assert is_inside.tolist() == [True, True, True, False, False]  # outside the grid, far from surfaces
     normals = [(0.9, 0.1, -0.4), (-0.9, 0.1, 0.4), (0, 1, 0.9), (0.1, -1, 0), (0, 0.5, 1), (0.2, 0, -1)]
     one_place = [int(cells_at(cells, points[:1], normal)[0][0]) for normal in normals]
     assert len(set(one_place)) == 6 and max(one_place) < cells.num_cells
@@ -75,7 +75,7 @@ def test_cells_follow_the_scale_of_small_scenes(scale: float) -> None:
     assert inside.all() and cells.num_cells <= 6 * 8**3 * (MAX_BRICKS + 1)
     if scale <= 1.0:
         assert cells.side_m == pytest.approx(scale / 40)
-    else:  # bounded by memory instead
+    else:  # memory bounds the cell size instead
         assert cells.side_m > MAX_SIDE_M
         halved = box_points(scale) / (4 * cells.side_m)
         assert len(np.unique(halved.astype(int), axis=0)) > MAX_BRICKS
@@ -157,7 +157,7 @@ def irradiance(room: SceneRenderer) -> NDArray[np.float32]:
     ("reflectance", "intensity"), [(0.0, 1.0), (0.5, 1.0), (0.8, 1.0), (0.5, 1e-6), (0.5, 1e6)]
 )
 def test_irradiance_of_a_closed_room_is_exact(tmp_path: Path, reflectance: float, intensity: float) -> None:
-    """All light of a bulb is absorbed, so mean irradiance x area x (1 - reflectance) is 4 pi x intensity."""
+    """A bulb's flux is absorbed, so mean irradiance x area x (1 - reflectance) equals 4 pi x intensity."""
     room = closed_room(None)
     room.slots = {"wall": GREY.model_copy(update={"diffuse_albedo": (reflectance,) * 3})}
     bulb = PointLight(name="bulb", position_m=(0.0, 0.0, 1.0), intensity=(intensity, 2 * intensity, 0.0))
@@ -197,7 +197,7 @@ def test_irradiance_does_not_pass_a_wall(tmp_path: Path) -> None:
     room = renderer(tmp_path, SmallScene(parts), cameras, CACHED, lights=(bulb,))
     lit, dark = (room.render_view(k).buffers["beauty"] for k in (0, 1))
     assert lit.mean() > 0.1
-    # some light leaks, because floor cells extend to both sides of the infinitely thin wall
+    # some light leaks, because cells of the floor extend to both sides of the infinitely thin wall
     assert dark.mean() < 0.01 * lit.mean()
 
 
@@ -242,7 +242,8 @@ def test_light_passes_half_transparent_surfaces(tmp_path: Path) -> None:
 def means_of_views(
     tmp_path: Path, scene: SmallScene, cameras: list[Camera], light: Any
 ) -> dict[str, NDArray]:
-    """Return means (V,) of views by full paths (``plain``) and with a cache built from another view."""
+    """Return the mean radiance (V,) of views by recipe: full paths ("plain") and paths that use a cache built
+    from another view ("cached")."""
     found = {}
     for name, recipe in (("plain", PLAIN), ("cached", CACHED)):
         room = renderer(tmp_path / name, scene, CAMERAS[:1], recipe, lights=(light,))
@@ -252,8 +253,8 @@ def means_of_views(
 
 
 def test_light_does_not_leak_under_objects_smaller_than_a_cell(tmp_path: Path) -> None:
-    """A board 2 cm above the floor divides a wall cell, whose mean mixes dark and bright irradiance.
-    The floor would be 27 % brighter if the cache were used for surfaces as near as this."""
+    """A board 2 cm above the floor divides a wall cell, whose mean thus mixes dark and bright irradiance. The
+    floor would be 27 % brighter if paths used the cache at surfaces as near as this."""
     scene = walled_room(window=False)
     scene.parts |= {
         "board_below": (quad([-1.2, 1.85, 0.02], [0, 0.15, 0], [2.4, 0, 0]), "grey"),
@@ -331,7 +332,7 @@ def test_a_beam_is_reflected_in_its_direction(
 
 @pytest.mark.parametrize("roughness", [0.15, 0.6])
 def test_glossy_room_is_as_bright_as_with_whole_paths(tmp_path: Path, roughness: float) -> None:
-    """Were specular lobes diffuse in the gathering, the room would be 1.3 % brighter."""
+    """If irradiance were gathered with specular lobes as diffuse, the room would be 1.3 % brighter."""
     glossy = SlotMaterial(
         diffuse_albedo=(0.5, 0.5, 0.5), specular_albedo=(0.2, 0.2, 0.2), roughness=roughness
     )
@@ -387,7 +388,7 @@ room.tracer.accumulate(room.sensor(CAMERAS[0]), 1, 0)
 
 
 def test_garbage_collection_waits_until_kernels_are_recorded(tmp_path: Path) -> None:
-    """Collecting a reference cycle with an array of NumPy memory during recording would abort the process."""
+    """Collecting a reference cycle that contains an array of NumPy memory aborts a process that records."""
     command = [sys.executable, "-c", RECORDS_IN_GARBAGE, str(tmp_path / "room")]
     done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -404,7 +405,7 @@ def test_reference_quality_has_no_cache() -> None:
 
 
 def test_kernels_do_not_depend_on_cameras_and_rounds(tmp_path: Path) -> None:
-    """All cameras and all rounds share kernels; each compiled one delays the first pixels of a room."""
+    """All cameras and rounds share kernels, because compiling a kernel delays the first pixels of a room."""
     import drjit as dr
 
     from datagen.rendering.transport.irradiance_gathering import gather_irradiance

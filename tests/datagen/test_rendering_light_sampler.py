@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The light sampler: slots, the warp of a random number, per-cell probabilities, and unbiased images."""
+"""The light sampler: table slots, the warp of a random number, per-cell probabilities, unbiased images."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 RECIPE = RenderRecipe(path_samples=4, auxiliary_samples=4, denoise=False, max_depth=8, irradiance_cache=True)
 SIDES = (-1.0, 1.0)
 DIM = LAMP.model_copy(update={"radiance": (0.3, 0.3, 0.3)})
-"""A lamp so dim that the sky gives a quarter of the light and therefore has a guide."""
+"""A lamp so dim that a quarter of the light is sky light, for which a guide is built."""
 
 
 def two_chambers(tmp_path: Path) -> SceneRenderer:
-    """Return a renderer of a chamber with a bright lamp and one with a dim lamp, each with a camera."""
+    """Return a renderer of two chambers with a camera each, one with a bright lamp and one with a dim one."""
     parts = {
         "floor": (quad([-2, -2, 0], [4, 0, 0], [0, 4, 0]), "grey"),
         "ceiling": (quad([-2, 2, 2], [4, 0, 0], [0, -4, 0]), "grey"),
@@ -48,14 +48,14 @@ def two_chambers(tmp_path: Path) -> SceneRenderer:
 def spread(
     room: SceneRenderer, view: int, count: int = 8, samples: int = 64, limit: float = np.inf
 ) -> NDArray[np.float64]:
-    """Return independent images (count, H, W, 3) of one view; ``limit`` clamps reflected light."""
+    """Return independent images (count, H, W, 3) of one view; ``limit`` clamps light after two bounces."""
     sensor = room.sensor(room.configuration.cameras[view].camera())
     images = [room.tracer.accumulate(sensor, samples, 50 + k, limit=limit).mean() for k in range(count)]
     return np.stack(images).astype(np.float64)
 
 
 def with_uniform_choice(room: SceneRenderer) -> None:
-    """Replace per-cell probabilities by uniform ones and keep the irradiance cache."""
+    """Replace per-cell probabilities by uniform ones, but keep the irradiance cache."""
     from datagen.rendering.transport.light_sampler import LightSampler
 
     tracer = room.tracer
@@ -96,7 +96,7 @@ def test_a_number_is_warped_into_a_technique_and_a_number(tmp_path: Path) -> Non
 
 
 def test_cells_choose_visible_lights(tmp_path: Path) -> None:
-    """Each cell chooses the lamp of its chamber, although the hidden one may be 100 times as bright."""
+    """Cells mostly sample the lamp of their chamber, even if the hidden lamp is 100 times as bright."""
     import mitsuba as mi
 
     room = two_chambers(tmp_path)
@@ -112,7 +112,7 @@ def test_cells_choose_visible_lights(tmp_path: Path) -> None:
 
 def test_noise_behind_a_wall_falls_without_bias(tmp_path: Path) -> None:
     room = two_chambers(tmp_path)
-    # One sample per image: more are stratified over the lights and show no difference.
+    # One sample per image, because several would be stratified over the lights and show no difference.
     learned = spread(room, 1, 64, 1, limit=1e-20)
     with_uniform_choice(room)
     uniform = spread(room, 1, 64, 1, limit=1e-20)
@@ -122,7 +122,8 @@ def test_noise_behind_a_wall_falls_without_bias(tmp_path: Path) -> None:
 
 
 def test_light_is_attributed_to_its_technique(tmp_path: Path) -> None:
-    """Lamp light is attributed to the lamp, sky light to its opening unless it is as bright as the sun."""
+    """Light of a lamp is attributed to the lamp, that of the sky to its opening, and that of the sun to the
+    environment emitter."""
     import drjit as dr
     import mitsuba as mi
 
@@ -181,7 +182,7 @@ def test_a_guide_keeps_its_share_of_a_uniform_choice(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("lights", [(LAMP, DAYLIGHT), (DAYLIGHT,)], ids=["lamp and daylight", "daylight"])
 def test_the_choice_of_lights_is_unbiased(tmp_path: Path, lights: Any) -> None:
-    """Per-cell and uniform choice give the same mean for area light, sun, sky and the guide to the window."""
+    """Per-cell and uniform probabilities give the same mean for an area light, the sun and the guided sky."""
     room = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=lights)
     assert room.tracer.sky_guide is not None or len(lights) == 2
     learned = spread(room, 0, 16, 128)
@@ -190,11 +191,11 @@ def test_the_choice_of_lights_is_unbiased(tmp_path: Path, lights: Any) -> None:
     means = [sample.mean(axis=(1, 2, 3)) for sample in (learned, uniform)]
     error = np.sqrt(sum(mean.var(ddof=1) / len(mean) for mean in means))
     assert abs(means[0].mean() - means[1].mean()) < 4 * error
-    assert error < 0.01 * means[1].mean()  # the comparison is precise
+    assert error < 0.01 * means[1].mean()  # the test is sensitive
 
 
 def test_many_lights_are_chosen_uniformly(tmp_path: Path) -> None:
-    """There are too many lights for per-cell probabilities, but the guide to the window keeps its share."""
+    """With too many lights for per-cell probabilities, the guide to the window keeps its share."""
     from datagen.rendering.transport.light_sampler import MAX_LEARNED
     from datagen.rendering.transport.sky_guide import OPENINGS
 

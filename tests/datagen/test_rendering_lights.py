@@ -40,7 +40,7 @@ RECIPE = RenderRecipe(path_samples=2048, auxiliary_samples=1, max_depth=2, denoi
 
 
 def irradiance(tmp_path: Path, *lights: Any, scene: SmallScene | None = None, at: Any = (0.0, 0.0)) -> Any:
-    """Return the irradiance (3,) around the point ``at`` of the plane z = 0 from a rendered image."""
+    """Measure the irradiance (3,) around the point ``at`` of the plane z = 0 in a rendered image."""
     view = renderer(tmp_path, scene, [down_camera(at=at)], RECIPE, lights=lights).render_view(0)
     return view.buffers["beauty"].astype(np.float64).mean(axis=(0, 1)) * math.pi / ALBEDO
 
@@ -118,7 +118,7 @@ def test_spot_is_dark_outside_its_cutoff(tmp_path: Path) -> None:
 
 
 def test_soft_sun_has_half_its_irradiance_where_an_edge_hides_its_centre(tmp_path: Path) -> None:
-    # The edge of a roof above x < 0 at height 0.5; the sun is a 0.2 rad disc at the zenith.
+    # A roof over x < 0 at height 0.5 m, under a sun at the zenith of 0.2 rad in diameter.
     roof = quad([-20, -20, 0.5], [0, 40, 0], [20, 0, 0])
     scene = SmallScene()
     scene.parts["roof"] = (roof, "grey")
@@ -177,7 +177,7 @@ def test_transparent_sheet_dims_a_point_light(tmp_path: Path) -> None:
 
 
 def test_partly_transparent_white_sheet_vanishes_in_uniform_light(tmp_path: Path) -> None:
-    """MIS weights of emitter samples and bounces sum to 1 for any opacity."""
+    """MIS weights of emitter and BSDF samples sum to 1 for any opacity."""
     scene = SmallScene()
     scene.slots["veil"] = GREY.model_copy(update={"opacity": 0.5, "diffuse_albedo": (1.0, 1.0, 1.0)})
     scene.parts["floor"] = (quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), "veil")
@@ -188,7 +188,7 @@ def test_partly_transparent_white_sheet_vanishes_in_uniform_light(tmp_path: Path
 
 
 def test_light_reflects_the_light_of_others(tmp_path: Path) -> None:
-    """A faint lamp with a material of its own reflects like any surface."""
+    """A faintly emissive surface reflects light like any other surface."""
     scene = SmallScene()
     scene.slots["glow"] = GREY.model_copy(update={"emission": (1e-6, 1e-6, 1e-6)})
     scene.parts = {"floor": (scene.parts["floor"][0], "glow")}
@@ -235,7 +235,7 @@ def test_environment_image_follows_its_convention(tmp_path: Path) -> None:
     light = EnvironmentLight(name="l", asset=asset, image="sky.exr", scale=2.0)
     # A camera along +Y looks at the image's centre, with the same right and up directions.
     camera = Camera(9, 9, 30, 30, 4.5, 4.5, look_at([0, 0, 1], [0, 1, 1]))
-    recipe = RECIPE.model_copy(update={"auxiliary_samples": 64})  # for visible emission
+    recipe = RECIPE.model_copy(update={"auxiliary_samples": 64})  # these sample visible emission
     view = renderer(tmp_path, None, [camera], recipe, lights=(light,)).render_view(0)
     directions = camera.ray_directions()
     azimuth = np.arctan2(directions[..., 0], directions[..., 1])  # from +Y towards +X

@@ -171,7 +171,7 @@ def z_scores(own: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def test_estimator_agrees_with_mitsubas_path(both_estimators: tuple[np.ndarray, np.ndarray]) -> None:
-    # 3 channels at 4.5 sigma of Student's t with 22 degrees of freedom: 0.05 % of false alarms
+    # 4.5 sigma in 3 channels, by Student's t with 22 degrees of freedom: false alarms in 0.05 % of runs
     assert np.abs(z_scores(*both_estimators)).max() < 4.5
 
 
@@ -221,7 +221,7 @@ def test_later_samples_continue_the_sequence(room: SceneRenderer) -> None:
 
 
 def test_the_denoiser_does_not_import_torch() -> None:
-    """Importing torch would take longer than a small configuration, and 200 MB in each worker."""
+    """Importing torch would take longer than rendering a small configuration, and 200 MB of each worker."""
     code = (
         "import sys\n"
         "import numpy as np\n"
@@ -270,8 +270,8 @@ def test_emitter_does_not_bleed_into_dark_surroundings(tmp_path: Path) -> None:
 
 
 def test_light_through_a_gap_thinner_than_a_pixel_is_complete(tmp_path: Path) -> None:
-    """A gap of 0.1 pixels in a black wall, missed by the ground-truth samples of a fifth of its pixels, shows
-    a tenth of the sky's radiance in every view."""
+    """A gap of 0.1 pixels in a black wall shows a tenth of the sky's radiance in every view, although the
+    ground-truth samples of a fifth of its pixels miss it."""
     scene = SmallScene()
     scene.slots["black"] = GREY.model_copy(update={"diffuse_albedo": (0.0, 0.0, 0.0)})
     pixel, gap = 2 / 48, 0.1
@@ -315,7 +315,7 @@ def test_denoiser_accepts_images_of_several_sizes() -> None:
         flat = np.full((*size, 3), 2.0, np.float32)
         result = denoiser.denoise(flat, np.full_like(flat, 0.5), np.zeros_like(flat))
         assert result.mean() == pytest.approx(2.0, rel=0.01)
-        assert result[12:-12, 12:-12] == pytest.approx(2.0, rel=0.01)  # borders err by up to 8 %
+        assert result[12:-12, 12:-12] == pytest.approx(2.0, rel=0.01)  # at borders the error is up to 8 %
     denoiser.close()
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scenes of the scene builder, checked by their ground-truth buffers."""
+"""Scenes of the scene builder, checked in their rendered ground-truth buffers."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def look_down(scene: SmallScene, tmp_path: Path, size: int = 32, **fields: Any) 
 
 
 def quadrants(image: np.ndarray) -> list[np.ndarray]:
-    """Return the means of the quadrants' centres: top left, top right, bottom left, bottom right."""
+    """Return the means of the centres of quadrants: top left, top right, bottom left, bottom right."""
     n = len(image) // 2
     inner = slice(n // 4, 3 * n // 4)
     halves = [image[:n], image[n:]]
@@ -184,7 +184,7 @@ OFF_CENTRE = Camera(
 
 
 def test_ids_depth_and_names_agree_with_the_placed_geometry(tmp_path: Path) -> None:
-    """Unprojected pixels are on their boxes despite oblong pixels, off-centre principal point and roll."""
+    """Unprojected pixels are on their boxes for non-square pixels, an off-centre principal point and roll."""
     rendered = two_boxes(tmp_path, OFF_CENTRE)
     view = rendered.render_view(0)
     assert view.instances == {"1": "room/floor", "2": "box-1", "3": "box-2", "4": "box-3"}
@@ -205,7 +205,7 @@ def test_ids_depth_and_names_agree_with_the_placed_geometry(tmp_path: Path) -> N
 
 
 def test_camera_shows_only_between_its_clip_depths(tmp_path: Path) -> None:
-    """Clipped near surfaces reveal those behind them, clipped far ones the background."""
+    """Surfaces nearer than the near plane reveal those behind; beyond the far plane is background."""
     near, far = 2.6, 3.4
     clipped = replace(OFF_CENTRE, clip_m=(near, far))
     full = two_boxes(tmp_path / "full", OFF_CENTRE).render_view(0).buffers["depth_z_m"][..., 0]

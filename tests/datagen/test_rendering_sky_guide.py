@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The sky guide: a normalised density, no bias, less noise, and no guide where it is not needed."""
+"""The sky guide: its density is normalised, it is unbiased, reduces noise, and is absent where not needed."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_the_guide_reduces_noise_without_bias(tmp_path: Path, case: str) -> None
     means = [sample.mean(axis=(1, 2, 3)) for sample in (guided, plain)]
     error = np.sqrt(sum(mean.var(ddof=1) / len(mean) for mean in means))
     assert abs(means[0].mean() - means[1].mean()) < 4 * error
-    assert error < 0.02 * means[1].mean()  # the comparison is precise
+    assert error < 0.02 * means[1].mean()  # the test is sensitive
     variance = [np.median(sample.var(axis=0, ddof=1).mean(axis=-1)) for sample in (guided, plain)]
     assert variance[0] < 0.35 * variance[1]
 
@@ -100,7 +100,7 @@ def test_the_density_matches_the_samples(tmp_path: Path) -> None:
         found, pdf = guide.pdf(point, direction)
         # except where rounding moves a direction to the next cell
         assert (np.array(pdf) > 0.0).mean() > 0.9999 and np.array(found == opening).mean() > 0.9999
-        # f(w) = 1 / (0.2 + |w - a|^2) has most of its weight at openings, from all three points
+        # from all three points, most of the integral of f(w) = 1 / (0.2 + |w - a|^2) is within the openings
         target = dr.normalize(mi.Vector3f(0.3, 1.0, 0.0))
         by_guide = np.array(1.0 / (0.2 + dr.squared_norm(direction - target))).astype(np.float64)
         sphere: Any = mi.warp.square_to_uniform_sphere(sampler.next_2d())
@@ -166,7 +166,8 @@ def test_the_guide_is_the_same_each_time(tmp_path: Path) -> None:
 
 def observed(count: int = 4096, **more: Any) -> Any:
     """Return observations of a room of 4 x 2 x 1 m with ``count`` points and a quarter as many rays.
-    The rays start at medium height and leave through one point of the upper face."""
+
+    The rays start 0.2 to 0.4 m above the floor and leave through one point of the ceiling."""
     from datagen.rendering.transport.sky_observation import SkyObservations
 
     points = np.random.default_rng(1).random((count, 3)) * [4, 2, 1]
@@ -190,7 +191,7 @@ def open_sky() -> Any:
 
 
 def test_the_share_of_the_sky_is_relative_to_all_direct_light() -> None:
-    """A quarter of the cosine-distributed rays hit sky of radiance 1, which gives an irradiance of pi / 4."""
+    """A quarter of the cosine-distributed rays hit sky of radiance 1, so its irradiance is pi / 4."""
     quarter = np.pi / 4
     assert observed().sky_share() == 1.0
     assert observed(others=quarter).sky_share() == pytest.approx(0.5)
@@ -224,7 +225,7 @@ def test_a_guide_covers_the_opening_and_a_margin() -> None:
     np.testing.assert_allclose(others, [*(low - margin), *(high + margin)[:2]], rtol=1e-6)
     assert (
         1.0 < top < 1.0 + margin
-    )  # in the plane of the opening, nearer than 2 % of the points would place it
+    )  # near the plane of the opening, instead of at a margin from the points as the other faces
     side = found.box_m[1] - found.box_m[0]
     areas = np.repeat([side[1] * side[2], side[0] * side[2], side[0] * side[1]], 2) / CELLS**2
     opening = np.array(found.opening_of_cell).reshape(6, CELLS, CELLS)
@@ -232,7 +233,7 @@ def test_a_guide_covers_the_opening_and_a_margin() -> None:
     chance = shares[opening] * np.array(found.density).reshape(6, CELLS, CELLS) * areas[:, None, None]
     assert len(shares) == OPENINGS and shares.min() > 0.01
     assert chance.sum() == pytest.approx(1.0, abs=1e-3)
-    # the rays meet just below the box's upper face and so spread over few of its cells
+    # the rays meet just below the box's upper face, so they leave it through few cells
     column, row = (int(c) for c in (np.array([3.1, 0.4]) - found.box_m[0, :2]) / side[:2] * CELLS)
     assert chance[5, column - 3 : column + 4, row - 3 : row + 4].sum() == pytest.approx(1.0, abs=1e-3)
     centre = mi.Point3f(*(float(c) for c in found.box_m.mean(axis=0)))
@@ -262,7 +263,7 @@ def test_little_sky_few_rays_or_none_from_inside_give_no_guide() -> None:
 
 
 def test_surfaces_outside_do_not_enlarge_the_box() -> None:
-    """Most of the escaping rays start on the ground outside, which is seen through a window at x = 4 m."""
+    """The box ends at the window, x = 4 m, although most escaping rays start on the ground beyond it."""
     from datagen.rendering.transport.room_box import MARGIN, room_box
 
     random = np.random.default_rng(4)
@@ -290,7 +291,7 @@ def test_surfaces_outside_do_not_enlarge_the_box() -> None:
 
 
 def test_openings_are_parts_of_windows() -> None:
-    """Two windows in opposite walls are divided between them, by probability."""
+    """The openings are parts of two windows in opposite walls, divided by probability."""
     from datagen.rendering.transport.room_box import CELLS
     from datagen.rendering.transport.sky_guide import SkyGuide
 
@@ -336,7 +337,7 @@ def test_rays_leave_the_box_at_the_exact_positions() -> None:
 
 
 def test_rays_along_an_edge_of_the_box_leave_through_its_last_cells() -> None:
-    """Points on the box's faces count as inside, although their normalised position is exactly 0 or 1."""
+    """Points on faces of the box, whose normalised position is exactly 0 or 1, count as inside."""
     import mitsuba as mi
 
     from datagen.rendering.transport.room_box import CELLS, exit_cell
@@ -351,7 +352,7 @@ def test_rays_along_an_edge_of_the_box_leave_through_its_last_cells() -> None:
 
 
 def test_lanes_without_a_vertex_stay_inside_the_table() -> None:
-    """Missed rays have NaN or infinite positions, but their cells are still looked up."""
+    """Rays without a hit have NaN or infinite positions, but their cells are still looked up."""
     import mitsuba as mi
 
     from datagen.rendering.transport.room_box import CELLS, exit_cell
