@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The bundled library: every package is valid, and rooms match their markers."""
+"""The bundled library: packages are valid, and rooms match their openings, supports and camera regions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ROOT = bundled_library()
 MAX_BYTES = 40_000_000
 ENVIRONMENTS = ("bathroom", "dining_room", "kitchen", "living_room", "study")
 MAX_TRIANGLES = {"environment": 150_000, "object": 15_000}
-OUTSIDE = "outside"  # prefix of the names of parts outside the windows
+OUTSIDE = "outside"  # prefix of parts outside the windows
 
 
 @lru_cache(maxsize=1)
@@ -152,7 +152,7 @@ def test_objects_rest_on_the_ground_within_budget() -> None:
 
 
 def test_objects_stand_stably() -> None:
-    """The centre of mass is above the contact area, as placement requires."""
+    """The centre of mass is above the convex hull of the contacts, as placement requires."""
     toppling = []
     for package in library():
         if isinstance(package.asset, ObjectAsset):
@@ -178,7 +178,7 @@ def test_room_is_complete(name: str) -> None:
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_room_is_closed_except_for_its_openings(name: str) -> None:
-    """Rays from camera regions hit a front face or leave through an opening."""
+    """Rays from camera regions hit front faces or leave through an opening."""
     asset, rays = environment(name), room_rays(name)
     rng = np.random.default_rng(1)
     directions = rng.normal(size=(60_000, 3))
@@ -249,7 +249,7 @@ def test_support_surfaces_are_level_and_free(name: str) -> None:
 
 
 def support_fault(rays: RayScene, surface: SupportSurface) -> str:
-    """Return the fault of a support surface, or ''; soft seats may deviate from it by 3.5 cm."""
+    """Return the fault of a support surface, or ''; the mesh of a soft seat may deviate by 3.5 cm."""
     origin, u, v = (np.array(e) for e in (surface.origin_m, surface.edge_u_m, surface.edge_v_m))
     if abs(u[2]) > 1e-6 or abs(v[2]) > 1e-6 or np.cross(u, v)[2] <= 0:
         return "not level"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Lights that cameras see as surfaces are lamps of a capture's geometry."""
+"""Lights with a visible surface become emissive parts of a capture's geometry."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ POINT = PointLight(name="point", position_m=(0.0, 0.0, 1.0), intensity=(1.0, 1.0
 
 
 def test_visible_lights_are_emissive_parts(tmp_path: Path) -> None:
-    """They follow the placed assets, in order, with their radiance; the rest of the geometry is unchanged."""
+    """Parts of lights follow those of the placed assets, in order, with the radiance of the lights."""
     folder = plan_small(tmp_path / "dataset", tmp_path / "library")
     configuration = folder.read_configuration(folder.read_plan().units[0])
     library = Library([tmp_path / "library"])
@@ -54,7 +54,7 @@ def test_visible_lights_are_emissive_parts(tmp_path: Path) -> None:
 def test_surfaces_of_lights_emit_outwards_and_have_their_area() -> None:
     panel, bulb = lamp_mesh(PANEL), lamp_mesh(BULB)
     first, second, third = np.moveaxis(panel.triangles(), 1, 0)
-    assert (np.cross(second - first, third - first)[:, 2] < 0).all()  # along u x v
+    assert (np.cross(second - first, third - first)[:, 2] < 0).all()  # normals are along u x v
     assert bulb.areas().sum() == pytest.approx(4 * np.pi * BULB.radius_m**2, rel=1e-5)
     first, second, third = np.moveaxis(bulb.triangles(), 1, 0)
     outwards = first - np.array(BULB.position_m)

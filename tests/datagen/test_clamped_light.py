@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Light removed by the firefly clamp: restored where its amount is known, otherwise counted as error."""
+"""Light removed by the firefly clamp is restored where its amount is certain, otherwise counted as error."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SIZE = (64, 96)
 
 
 def fireflies(count: int, share: float, seed: int = 0) -> NDArray[np.float64]:
-    """Removed light of ``count`` equal fireflies, ``share`` of that of an image of luminance 1."""
+    """Return light (H, W) removed at ``count`` random pixels, equal amounts with the mean ``share``."""
     removed = np.zeros(SIZE[0] * SIZE[1])
     removed[np.random.default_rng(seed).choice(removed.size, count, replace=False)] = (
         share * removed.size / count
@@ -24,7 +24,7 @@ def fireflies(count: int, share: float, seed: int = 0) -> NDArray[np.float64]:
 
 def test_frequent_fireflies_are_restored() -> None:
     level = np.ones(SIZE)
-    level[:, 48:] = 0.01  # light is restored in proportion to what is there
+    level[:, 48:] = 0.01  # light is restored in proportion to the pixel's luminance
     restored = level * restored_share(level, 0.05 * level)
     assert restored.sum() == pytest.approx(0.05 * level.sum(), rel=0.03)
     assert restored[:, 90].max() < 0.001
@@ -42,7 +42,7 @@ def test_dense_fireflies_stay_in_place() -> None:
 
 
 def test_rare_fireflies_are_not_restored() -> None:
-    """The mean over many images must not depend on a few; one firefly of all light is no evidence."""
+    """A few fireflies, however bright, do not determine how much light is missing."""
     assert not restored_share(np.ones(SIZE), fireflies(1, 1.0)).any()
     assert restored_share(np.ones(SIZE), fireflies(4, 0.1)).mean() < 0.01
     assert not restored_share(np.ones(SIZE), np.zeros(SIZE)).any()

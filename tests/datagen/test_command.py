@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command ``datagen`` from a recipe to verified shards, and its output."""
+"""The command ``datagen``, from a recipe to verified shards, and its messages."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_doctor_survives_programs_that_do_not_run(monkeypatch: pytest.MonkeyPatc
     broken = tmp_path / "blender"
     broken.write_text("an incomplete download")
     broken.chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path))  # has no nvidia-smi, as containers without "utility"
+    monkeypatch.setenv("PATH", str(tmp_path))  # without nvidia-smi, like containers without "utility"
     monkeypatch.setattr(doctor, "has_cuda", lambda: True)
     monkeypatch.setattr(doctor, "uses_optix", lambda variant: True)
     assert doctor.gpu_finding() == doctor.Finding("GPU", "NVIDIA driver found", True, False)

@@ -135,7 +135,7 @@ def test_every_view_of_a_sheet_has_a_separate_exposure():
     sheet = np.asarray(make_contact_sheet([dark, bright], ["same", "same"], "title"))
     half = np.asarray(make_contact_sheet([dark, dark], ["same", "same"], "title"))
     assert exposure_of(dark) == pytest.approx(8 * exposure_of(bright))
-    pictures = slice(-10 * 328, None)  # without the exposure labels, which differ in length
+    pictures = slice(-10 * 328, None)  # columns of images, without the exposure labels
     np.testing.assert_array_equal(sheet[:, pictures], half[:, pictures])
     assert sheet.shape != half.shape or (sheet != half).any()
 

@@ -24,8 +24,9 @@ IS_OUTSIDE = np.array([True, True, False, False])
 
 
 def walls(seed: int = 0) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Return log radiance (N,), known irradiance (N,), estimated irradiance of four light groups (N, 4) and
-    region (N,) of 48 textured walls, along which each group's light varies independently."""
+    """Return log radiance (N,), known irradiance (N,), estimated irradiance by four groups of light (N, 4)
+    and region (N,) of surfels on 48 textured walls, along which the light of each group varies independently.
+    """
     random = np.random.default_rng(seed)
     region = np.repeat(np.arange(48), 400)
     along = np.tile(np.linspace(0, 1, 400), 48)
@@ -48,7 +49,7 @@ def test_gains_do_not_depend_on_the_numbers_of_regions() -> None:
 
 
 def test_small_objects_of_another_colour_change_little() -> None:
-    """Pictures four times darker than the walls cover a tenth of each and change gains by at most 35 %."""
+    """Pictures four times darker than the walls, on a tenth of each wall, change gains by at most 35 %."""
     log_radiance, rest, parts, region = walls()
     is_picture = np.arange(len(region)) % 400 < 40
     darker = log_radiance - np.log(4) * is_picture
@@ -56,7 +57,7 @@ def test_small_objects_of_another_colour_change_little() -> None:
 
 
 def test_uniform_light_keeps_its_estimate() -> None:
-    """Neither uniform light nor regions of a single surfel determine gains, which therefore stay near 1."""
+    """Uniform light and regions of a single surfel leave gains undetermined, so these stay near 1."""
     log_radiance, rest, parts, region = walls()
     even = np.ones_like(rest)
     found = solve_gains(np.log(0.5 * even), even, parts * 0 + 0.5, region, IS_OUTSIDE)

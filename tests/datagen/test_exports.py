@@ -82,7 +82,7 @@ def read_png(path: Path) -> np.ndarray:
 
 
 def test_views_show_the_objects(views) -> None:
-    """The other tests need visible objects."""
+    """The other tests of this file need visible objects."""
     assert sum(len(masks_of(view)) for view in views) >= 4
     assert {name for view in views for name in masks_of(view)} == {"cabinet-1", "chair-1"}
 
@@ -118,7 +118,7 @@ def test_run_lengths_equal_those_of_pycocotools(seed: int) -> None:
     from datagen.exports.coco import run_lengths
 
     rng = np.random.default_rng(seed)
-    mask = cv2.blur(rng.random((173, 211)), (1 + 20 * seed, 9)) > 0.5  # long runs, and hundreds of short ones
+    mask = cv2.blur(rng.random((173, 211)), (1 + 20 * seed, 9)) > 0.5  # with runs of many lengths
     for given in (mask, np.zeros_like(mask), np.ones_like(mask)):
         expected = reference.encode(np.asfortranarray(given.astype(np.uint8)))
         assert run_lengths(given)["counts"] == expected["counts"].decode()
@@ -133,7 +133,8 @@ def _seen_by(poses: dict[str, Any], camera: dict[str, Any], points_m: np.ndarray
 
 
 def test_bop_poses_project_models_onto_their_masks(dataset: Path, views: list[View], tmp_path: Path) -> None:
-    """Points of an object's mask are inside its model's box, and the projected model encloses the mask."""
+    """Unprojected pixels of an object's mask are inside its model's box, and the projected model encloses the
+    mask."""
     import trimesh
 
     out = export("bop", dataset, tmp_path / "bop")
@@ -215,7 +216,7 @@ def test_points_of_the_cloud_are_on_visible_surfaces(
 
 
 def _warped(view: View, flow: np.ndarray, name: str) -> np.ndarray:
-    """Sample a buffer (H, W, C) of the view bilinearly at the ends of the flow (H, W, 2)."""
+    """Warp a buffer (H, W, C) of the view by the flow (H, W, 2), with bilinear lookup."""
     height, width = flow.shape[:2]
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     source = view.buffers[name].astype(np.float32)
@@ -232,7 +233,7 @@ def decode_flo(data: bytes) -> np.ndarray:
 
 
 def _flow_faults(out: Path, views: list[View], gain: float = 1.0) -> tuple[float, float, int]:
-    """Return median relative depth error, mean albedo error and pixel count of flow scaled by ``gain``."""
+    """Return median relative depth error, mean albedo error and pixel count of the flow times ``gain``."""
     by_name = {view.record.name: view for view in views}
     depths, colors = [], []
     for pair in json.loads((out / "pairs.json").read_text())["pairs"]:
@@ -245,7 +246,7 @@ def _flow_faults(out: Path, views: list[View], gain: float = 1.0) -> tuple[float
         points = camera_a.unproject(np.stack([columns, rows], -1) + 0.5, a.buffers["depth_z_m"][seen][:, 0])
         expected = (points - camera_b.position_m) @ camera_b.forward
         column, row = np.clip(np.floor(ends).astype(int), 0, [63, 47]).T
-        # depth is stored at pixel centres: extrapolate it along the surface plane
+        # depth is stored at pixel centres: extrapolate it in the tangent plane
         normal = b.buffers["normal_world"][row, column].astype(float)
         centre = camera_b.unproject(np.stack([column, row], -1) + 0.5, b.buffers["depth_z_m"][row, column, 0])
         rays = camera_b.unproject(ends, np.ones(len(ends))) - camera_b.position_m
@@ -327,7 +328,7 @@ def test_hypersim_folders_follow_the_convention(dataset: Path, views: list[View]
 
 
 def test_an_export_of_other_rooms_is_kept(tmp_path: Path) -> None:
-    """Its models and categories would get other numbers."""
+    """Other rooms are not exported to the same folder, because models and categories would be renumbered."""
     from datagen.exports.rooms import claim_folder
 
     for _ in range(2):

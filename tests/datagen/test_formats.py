@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Files: EXR views, shards, strict models, canonical bytes, readable errors."""
+"""File formats: EXR views, shards, strict models, canonical bytes, readable errors."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_exr_images_are_never_read_as_their_alpha(tmp_path: Path) -> None:
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_damaged_exr_is_refused_or_decoded(data: st.DataObject) -> None:
-    """A truncated or bit-flipped file gives an InputError or arrays of the right shape."""
+    """A truncated file or one with a changed byte gives an InputError or arrays of the right shape."""
     good = encode_view(make_buffers(16, 16, seed=1))
     if data.draw(st.booleans()):
         bad = good[: data.draw(st.integers(0, len(good) - 1))]
@@ -244,7 +244,7 @@ def test_failed_atomic_write_leaves_no_files(tmp_path: Path) -> None:
 
 
 def test_each_buffer_has_a_stage() -> None:
-    """The order of buffers determines the bytes of an EXR file; no stage lists optional buffers."""
+    """The order of a stage's buffers determines the bytes of an EXR file; optional buffers are not listed."""
     truth = ("normal_world", "depth_z_m", "surface_mask", "instance_id", "material_id")
     assert ("beauty", *MATERIAL_MAPS, *truth) == RENDERED_BUFFERS
     assert VIEW_BUFFERS[len(RENDERED_BUFFERS) :] == (

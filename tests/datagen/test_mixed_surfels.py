@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Surfels of objects thinner than a pixel: slats of a blind in front of a bright sky."""
+"""Mixed surfels, whose pixels show several surfaces: slats thinner than a pixel in front of a bright sky."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ NUM_WALL_FACES = 10
 
 def _geometry() -> CaptureGeometry:
     """Return a room of 4 x 4.5 x 2.5 m whose open side at y = 2 m has slats of 2 cm at intervals of 11 cm.
-    Adjacent pixels show the same slat or none."""
+
+    The intervals exceed a pixel, so adjacent pixels show the same slat or none."""
     x, y, low, z = 2, 2, -2.5, 2.5
     corners = [
         [(-x, low, 0), (x, low, 0), (x, y, 0), (-x, y, 0)],
@@ -76,7 +77,7 @@ def views(traced: TracedGeometry) -> tuple[TracedView, ...]:
 
 
 def _lit(views: tuple[TracedView, ...], traced: TracedGeometry, is_bounded: bool = True) -> Surfels:
-    """Return surfels of the views with gathered light; ``is_bounded`` bounds the radiance of mixed ones."""
+    """Return surfels of the views; ``is_bounded``: incident light bounds the radiance of mixed surfels."""
     nothing_emits = np.zeros(NUM_WALL_FACES + 2 * NUM_SLATS, bool)
     regions = np.zeros(len(nothing_emits), np.int32)
     options = GatherOptions(irradiance_rays=8, estimates_unseen=False, bounds_mixed=is_bounded)
@@ -99,7 +100,7 @@ def test_slats_are_mixed_and_walls_are_not(views: tuple[TracedView, ...]) -> Non
 def test_slats_do_not_get_the_radiance_of_the_sky_behind_them(
     views: tuple[TracedView, ...], traced: TracedGeometry
 ) -> None:
-    """Pixels of slats show mostly sky, but the light incident on the slats bounds their radiance."""
+    """Pixels of slats show mostly sky, but the slats' radiance is bounded by their incident light."""
     seen, found = _lit(views, traced, is_bounded=False), _lit(views, traced)
     assert np.median(_of_slats(seen)) > 50 * SLAT
     assert np.quantile(_of_slats(found), 0.9) < 1.1 * WALL
@@ -109,13 +110,13 @@ def test_slats_do_not_get_the_radiance_of_the_sky_behind_them(
 def test_mixed_surfels_in_unknown_light_keep_their_radiance(
     views: tuple[TracedView, ...], traced: TracedGeometry
 ) -> None:
-    """If photographs show only the slats, little of the light incident on them is known."""
+    """If photographs show only the slats, little of their incident light is known, and no bound applies."""
     seen, found = _lit(views[:3], traced, is_bounded=False), _lit(views[:3], traced)
     assert np.median(_of_slats(found) / _of_slats(seen)) > 0.5
 
 
 def test_mixed_surfels_of_plausible_radiance_keep_it(traced: TracedGeometry) -> None:
-    """In front of a dark sky the radiance of slats is plausible and stays unchanged."""
+    """In front of a dark sky, the radiance of the slats' surfels is plausible and unchanged."""
     views = _photographed(traced, sky=SLAT / 2)
     seen, found = _lit(views, traced, is_bounded=False), _lit(views, traced)
     np.testing.assert_array_equal(_of_slats(found), _of_slats(seen))
@@ -128,7 +129,7 @@ def _unmixed(views: tuple[TracedView, ...], traced: TracedGeometry) -> list[Trac
 
 
 def _radiance(views: Sequence[TracedView], is_slat: bool) -> NDArray[np.float32]:
-    """Return the radiance (K,) of the pixels that show slats (``is_slat``) or walls."""
+    """Return the radiance (K,) of the pixels that show slats (if ``is_slat``) or walls."""
     of_views = []
     for view in views:
         face = view.geometry.face.ravel()
@@ -145,7 +146,7 @@ def test_pixels_of_slats_get_the_radiance_of_slats_alone(
     assert np.median(_radiance(views, True)) > 50 * SLAT
     assert abs(np.median(slats) - SLAT) < 0.01 * SKY  # coverage from 16 rays errs by a few percent
     assert np.quantile(slats, 0.9) < 0.04 * SKY
-    assert slats.mean() < 0.02 * SKY  # uncertain pixels have the radiance of their block
+    assert slats.mean() < 0.02 * SKY  # uncertain pixels are shrunk towards the median of their block
     assert np.quantile(np.abs(walls - WALL), 0.95) < 0.05 * WALL
 
 
@@ -161,7 +162,7 @@ def test_pixels_without_other_surfaces_keep_their_values(
 
 @pytest.mark.parametrize(("part", "expected"), [(1.0, 1.0), (0.45, 0.5), (0.0, 0.0)])
 def test_slope_is_the_observed_part_of_the_predicted_mixture(part: float, expected: float) -> None:
-    """Slopes are divided by 0.9, the minimum slope of an exact mesh."""
+    """The median slope is divided by 0.9, the minimum of exact meshes, and clipped to [0, 1]."""
     rng = np.random.default_rng(3)
     share = rng.uniform(0.2, 0.8, 200_000)
     known, beyond = rng.uniform(0.1, 1, (2, len(share), 1)) * np.ones(3)

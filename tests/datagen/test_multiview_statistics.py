@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Statistics agree with the float64 oracle and have their defining properties."""
+"""Statistics of views agree with a float64 oracle and have their defining properties."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from oracles.statistics import OracleOptions, statistics_by_loops, statistics_ve
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
-# Decisions closer than this to their limit may differ in float32: projections err by about 1e-5 px.
+# Comparisons with a margin below this may turn out differently in float32: projections err by about 1e-5 px.
 DECISION_MARGIN = 2e-4
-# Bilinear weights err like projections, and white noise has gradients of up to 1 per pixel.
+# Bilinear weights have the errors of projections, and white noise has gradients of up to 1 per pixel.
 COLOR_TOLERANCE = 1e-4
 
 COLORS = [name for name in STATISTICS_BUFFERS if BUFFERS[name].num_channels == 3]
@@ -58,7 +58,7 @@ def compute(views, options=None):
 
 
 def disagreement(result, expected, options) -> tuple[int, float]:
-    """Return the number of unambiguous pixels that differ from the oracle, and the unambiguous share."""
+    """Return the number of unambiguous pixels that differ from the oracle, and the share of such pixels."""
     *colors, count, margin = expected
     is_sure = margin > DECISION_MARGIN
     is_wrong = result["observation_count"][..., 0] != count
@@ -106,7 +106,7 @@ def test_equals_oracle(name):
     ],
 )
 def test_a_wrong_oracle_is_detected(wrong):
-    """Injected fault: an oracle with parameters 5 % off or with other options is detected."""
+    """Injected fault: an oracle with parameters 5 % too large or with other options is detected."""
     options = StatisticsOptions()
     views = make_views(((90, 60),))
     wrongs = 0
@@ -179,7 +179,7 @@ def test_equal_costs_keep_the_first_view():
 
 
 def test_ranking_prefers_views_along_the_normal():
-    """Cameras nearly above a floor are preferred to grazing ones; a wrong sign would select the latter."""
+    """Cameras nearly above a floor rank before grazing ones; with a wrong sign they would rank last."""
     from datagen.foundation.cameras import look_at
 
     views = []

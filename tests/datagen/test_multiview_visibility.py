@@ -53,7 +53,7 @@ def test_traced_visibility_is_exact_and_depth_is_within_a_pixel_of_silhouettes()
         by_depth = observe_points(packed, points, normals, VisibilityOptions("depth"))
         mismatch.append((by_depth.visible_mask != expected).mean())
     assert 0.1 < expected.mean() < 0.9
-    # errors occur along silhouettes and so halve with the pixel size, down to those within the tolerance
+    # errors occur along silhouettes, so they halve with the pixel size, down to those within the tolerance
     assert mismatch[1] < 0.6 * mismatch[0] and mismatch[2] < 0.7 * mismatch[1] and mismatch[2] < 0.01
     traced = observe_points(packed, points, normals, VisibilityOptions("trace"), mitsuba_scene())
     assert (traced.visible_mask != expected).mean() < 2e-4  # within the tolerance of a shadow edge
@@ -78,7 +78,7 @@ def test_pixels_distance_and_cosine_equal_the_camera_model():
 
 @pytest.mark.parametrize("tilt_deg", [0, 60, 80, 88])
 def test_slope_keeps_a_tilted_plane_visible(tilt_deg):
-    """Points between pixel centres of a grazing plane would be lost without the slope term."""
+    """Without the slope term, points between pixel centres of a grazing plane would count as occluded."""
     camera = Camera(64, 64, 64.0, 64.0, 32.0, 32.0, look_at((0, 0, 0), (0, 1, 0)))
     tilt = np.deg2rad(tilt_deg)
     normal = np.array([0.0, -np.cos(tilt), np.sin(tilt)])
@@ -106,8 +106,8 @@ def test_slope_keeps_a_tilted_plane_visible(tilt_deg):
 
 @pytest.mark.parametrize("cosine", [0.9, 0.3, 0.1, 0.055])
 def test_a_point_below_its_surface_is_visible_unless_occluded(cosine):
-    """A point 0.7 tolerances below its surface is visible at any angle; at 1.5 tolerances it is hidden.
-    An occluder just in front of a point on the surface hides it."""
+    """At any angle, a point 0.7 tolerances below its surface is visible and one at 1.5 tolerances is not. An
+    occluder just in front of a point on the surface hides it."""
     import mitsuba as mi
 
     distance, tolerance = 4.0, 1e-3
@@ -130,7 +130,7 @@ def test_a_point_below_its_surface_is_visible_unless_occluded(cosine):
 
 
 def test_an_occluder_is_not_overlooked_at_the_most_grazing_angles():
-    """The shadow ray ends at most a few per cent of its length before the point."""
+    """The tolerance shortens the shadow ray by at most a few per cent of its length."""
     import mitsuba as mi
 
     eye = np.array([0.0, -4.0, 4.0 * 1e-3])
@@ -155,7 +155,7 @@ def test_points_behind_outside_and_facing_away_are_not_seen():
 
 
 def test_the_image_ends_at_the_outer_edge_of_its_last_pixel():
-    """Points exactly on the left or top border of an image are visible, on the right or bottom not."""
+    """Points exactly on the left or top border of an image are visible, on the right or bottom border not."""
     camera = Camera(10, 10, 10.0, 10.0, 5.0, 5.0, look_at((0, 0, 0), (0, 1, 0)))
     packed = PackedViews([camera, camera], [np.full((10, 10), 2.0)] * 2)
     points = np.array([(-1, 2, 0), (1, 2, 0), (0, 2, 1), (0, 2, -1)])

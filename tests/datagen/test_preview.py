@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The preview page of a run shows last views, rate, time left and failures, also after packing."""
+"""The preview page of a run shows the latest views, even once packed, and rate, time left and failures."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_failures_are_shown_as_text(tmp_path: Path, clock: list[float]) -> None:
 
 
 def test_the_command_writes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A stub replaces the local engine; it renders immediately and reports one failure."""
+    """A stub of the local engine provides rendered views and reports a retry."""
     folder = plan_small(tmp_path / "set", tmp_path / "library", 1, 3)
 
     def run_local(out: Path, options: LocalOptions, on_event) -> RunSummary:

@@ -18,7 +18,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 def _lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
-    """Return the printed lines without their time of day."""
+    """Return the printed lines without the time of day."""
     return [line.split(" ", 1)[1] for line in capsys.readouterr().err.splitlines()]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""An imported scene, scanned furniture and photographed materials, recombined by the recipe ``real``."""
+"""The recipe ``real``, which recombines an imported scene, scanned furniture and photographed materials."""
 
 from __future__ import annotations
 

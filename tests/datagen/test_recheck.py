@@ -38,7 +38,7 @@ def record(dataset: Path) -> ViewRecord:
 
 
 def against(record: ViewRecord, image: NDArray, noise: float = 0.1) -> Rechecked:
-    """Compare an image with four images of constant radiance 1 and relative noise ``noise``."""
+    """Recheck ``image`` against four images of radiance 1 with relative noise ``noise``."""
     return compared(View(record, {"beauty": image}), noisy_parts(np.random.default_rng(4), noise))
 
 
@@ -92,7 +92,7 @@ def test_views_of_a_dataset_agree_with_plain_paths(dataset: Path, capsys: pytest
     views = {(v["configuration"], v["view"]) for v in report["rechecked"]}
     assert len(views) == 3
     for view in report["rechecked"]:
-        # paths of 8 segments lose 3 % of the light in this bright, closed room
+        # truncation after 8 segments loses 3 % of the light in this bright, closed room
         assert -0.05 < view["bias"] < -0.01 and 0.0 < view["bias_error"] < 0.003
         assert 0.5 * view["recorded"] < view["rel_mse"] < 4 * view["recorded"]
     assert verify_command(dataset, recheck=1, recheck_samples=8) == 0

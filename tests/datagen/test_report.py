@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Figures of a report agree with independent counts and pixels with the shards; bad input is refused."""
+"""Figures of a report agree with independent counts, its pixels with the shards; bad input is refused."""
 
 from __future__ import annotations
 
@@ -347,7 +347,7 @@ def test_source_views_match_the_statistics(report: Path, dataset: Path) -> None:
 
 
 def test_source_views_follow_the_options(dataset: Path) -> None:
-    """Injected fault: with other options the numbers of source views differ from the statistics."""
+    """Injected fault: with other options, the numbers of source views differ from the statistics."""
     views = list(ShardReader(dataset / Dataset(dataset).index.shards[0].file))
     inputs = [StatisticsView.from_buffers(v.record.camera.camera(), v.buffers) for v in views]
     record = views[0].record.statistics
@@ -367,7 +367,7 @@ def test_a_second_report_reuses_the_counts(report: Path, dataset: Path, tmp_path
     assert tile.stat().st_mtime_ns == before
     assert read_script(out / "data" / "summary.js", "summary")["findings"]["is_checked"] is False
     kept = out / "gathered" / "small-00000.json"
-    kept.write_text(kept.read_text()[:100])  # as after a crash of the file system
+    kept.write_text(kept.read_text()[:100])  # truncated, as after a crash
     write_report(dataset, out, ReportOptions(check=False))
     assert tile.stat().st_mtime_ns > before
 
@@ -407,7 +407,7 @@ def test_a_damaged_shard_is_named_and_omitted(dataset: Path, tmp_path: Path) -> 
 
 
 def _gather(folder: Path, buffers: dict[str, np.ndarray]) -> dict:
-    """Gather a shard with one view of ``buffers``."""
+    """Write a shard with one view of ``buffers`` and return what a report gathers from it."""
     configuration = make_configuration(1)
     (image, path), *record = make_view_files(folder, configuration)
     path.write_bytes(encode_view(buffers))
@@ -461,7 +461,8 @@ def test_dry_run_writes_nothing(dataset: Path, tmp_path: Path, capsys: pytest.Ca
 
 @pytest.fixture(scope="module")
 def compared(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
-    """Write a report on two methods, the second with one missing and four invalid views; return folders."""
+    """Write a report on the predictions of two methods, the second with one missing and four invalid views;
+    return the folders of the report and of the predictions."""
     root = tmp_path_factory.mktemp("predictions")
     good, bad = (predict(dataset, root / name, seed) for seed, name in enumerate(("good", "B & W")))
     places = {f"{v.record.configuration}/{v.record.name}": v for v in Dataset(dataset).views()}

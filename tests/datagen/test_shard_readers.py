@@ -26,7 +26,7 @@ NUM_VIEWS = 7  # `datasets` infers types from the first five records
 
 
 def _changed(record: dict[str, Any], shard: int, view: int) -> dict[str, Any]:
-    """Return the record with instances that differ by view and shard and optional fields in the last view."""
+    """Return a record whose instances depend on view and shard; that of the last view has optional fields."""
     names = [{"id": k + 1, "name": f"object-{shard}-{k}"} for k in range(1 + view % 3)]
     record = {**record, "instances": names, "name": f"view-{view:03d}"}
     if view == NUM_VIEWS - 1:
@@ -51,7 +51,7 @@ def make_shards(folder: Path, num_shards: int = 2) -> list[Path]:
 
 
 def as_older(path: Path, out: Path) -> Path:
-    """Convert a shard to result revision 7 with old member name, ids as keys and nulls; return ``out``."""
+    """Convert a shard to result revision 7: an older member name, ids as keys, and nulls. Return ``out``."""
     with tarfile.open(path) as source, tarfile.open(out, "w", format=tarfile.USTAR_FORMAT) as target:
         for info in source:
             file = source.extractfile(info)
@@ -84,7 +84,7 @@ for loaded in (list(whole), list(stream)):
 
 
 def _hugging_face(paths: list[Path], cache: Path) -> subprocess.CompletedProcess[str]:
-    """Run a process that prints records read by `datasets`, which keeps threads and a cache."""
+    """Print records read by `datasets` in a separate process, since the library keeps threads and a cache."""
     command = [sys.executable, "-c", _LOAD, str(cache), *map(str, paths)]
     environment = {"HF_HOME": str(cache), "HF_HUB_OFFLINE": "1", "HF_DATASETS_DISABLE_PROGRESS_BARS": "1"}
     return subprocess.run(command, capture_output=True, text=True, env=environment)
@@ -105,7 +105,7 @@ def test_hugging_face_reads_shards(tmp_path: Path) -> None:
 
 
 def test_hugging_face_could_not_read_older_shards(tmp_path: Path) -> None:
-    """`datasets` refuses shards of the old format."""
+    """`datasets` refuses shards of result revision 7."""
     older = [as_older(path, tmp_path / f"older-{k}.tar") for k, path in enumerate(make_shards(tmp_path))]
     done = _hugging_face(older, tmp_path / "cache")
     assert done.returncode != 0 and "don't share the same prefix" in done.stderr

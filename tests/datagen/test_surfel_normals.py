@@ -19,7 +19,7 @@ SIDES, RADIUS_M = 32, 0.03
 
 @pytest.fixture(scope="module")
 def views(mitsuba_variant: str) -> tuple[TracedView, ...]:
-    """Return views of a column of 3 cm radius in front of a wall, from the left and from the right."""
+    """Return views, from the left and the right, of a column of 3 cm radius in front of a wall."""
     angle = 2 * np.pi * np.arange(SIDES) / SIDES
     ring = RADIUS_M * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     column = np.concatenate([np.column_stack([ring, np.full(SIDES, z)]) for z in (0.0, 2.0)])

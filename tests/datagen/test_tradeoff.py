@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sweeps of error against time: Pareto front, recommendation, and a real sweep of three settings."""
+"""Sweeps of settings for error and time: Pareto front, recommendation, and a real sweep of three settings."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_recommendation_meets_the_error_at_the_least_cost(
 
 
 def test_only_rendering_settings_are_recommended() -> None:
-    cheap = point(0.1, 0.001, best_views=4)  # another statistic, not a cheaper form of it
+    cheap = point(0.1, 0.001, best_views=4)  # defines other statistics rather than a cheaper rendering
     small = point(0.1, 0.001, image_scale=0.5)
     fair = point(1.0, 0.001, path_samples=16)
     assert comparable([cheap, small, fair], BASE) == [fair]
@@ -101,7 +101,7 @@ def test_only_rendering_settings_are_recommended() -> None:
 
 def test_excess_over_the_front() -> None:
     front = [point(1.0, 0.1), point(4.0, 0.001, path_samples=64)]
-    assert excess_over_front(point(2.0, 0.01), front) == pytest.approx(1.0)  # halfway in logarithms
+    assert excess_over_front(point(2.0, 0.01), front) == pytest.approx(1.0)  # on the front, in log-log scale
     assert excess_over_front(point(3.0, 0.01), front) == pytest.approx(1.5)
     assert excess_over_front(point(9.0, 0.0005), front) == 0.0  # no other point reaches that error
     assert excess_over_front(point(2.0, 0.5), front) == pytest.approx(2.0)  # worse than the cheapest
@@ -117,7 +117,7 @@ def test_points_are_means_over_configurations() -> None:
         )
 
     found = points_of([trial("a", 0.1), trial("b", 0.3), trial("a", 0.5, path_samples=2)])
-    assert [p.setting for p in found] == [BASE]  # the other was tried on one configuration only
+    assert [p.setting for p in found] == [BASE]  # the other setting lacks a trial of configuration b
     assert (found[0].rel_mse, found[0].worst_rel_mse) == (pytest.approx(0.2), 0.3)
 
 

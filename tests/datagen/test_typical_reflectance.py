@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Typical reflectance of smooth regions, by which unphotographed surfaces are assumed to reflect."""
+"""Typical reflectance of smooth regions, which is assumed for unphotographed surfaces."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SHADING = np.random.default_rng(1).uniform(0.5, 2.0, (NUM, 3)).astype(np.float32
 
 @dataclass(frozen=True)
 class Surfels:
-    """The fields of surfels that the function reads."""
+    """The fields of surfels that ``typical_reflectance`` uses."""
 
     position_m: NDArray[np.float64]
     normal: NDArray[np.float64]
@@ -36,7 +36,7 @@ class Surfels:
 
 @dataclass(frozen=True)
 class Baker:
-    """Returns half of the true shading as known."""
+    """Stub by which half of the irradiance is known; ``photographed`` (N,) is the photographed share."""
 
     photographed: NDArray[np.float32]
 
@@ -58,7 +58,7 @@ def typical(
 
 
 def test_regions_have_the_median_of_their_surfels() -> None:
-    """It is shrunk towards the object's median, and this towards the room's, most for few surfels."""
+    """A region's median is shrunk towards its object's, and that towards the room's, most for few surfels."""
     found, room = typical(), np.log(0.6)
     for which, count in enumerate(np.bincount(REGION)):
         prior = (PRIOR_SURFELS / (count + PRIOR_SURFELS)) ** 2
@@ -69,14 +69,14 @@ def test_regions_have_the_median_of_their_surfels() -> None:
 
 
 def test_regions_without_surfels_have_the_reflectance_of_their_object() -> None:
-    """Region 3 is the back of region 0, or of region 1 as well, whose surfels are more frequent."""
+    """Region 3 belongs to the object of region 0, or to that of regions 0 and 1, where 1 has more surfels."""
     assert typical(objects=(0, 1, 2, 0))[3, 0] == pytest.approx(0.2, rel=0.12)
     np.testing.assert_allclose(typical(objects=(0, 0, 1, 0))[3], 0.6, rtol=1e-6)
 
 
 def test_surfels_in_photographed_light_prevail() -> None:
-    """Reflectances that are three times too high, where too little of the light is photographed, are ignored,
-    and have less weight where little more is photographed; with all of them, the albedo 0.4 is assumed."""
+    """Surfels whose incident light is hardly photographed, here with reflectances three times too high, get
+    little or no weight. If too little light is photographed everywhere, the reflectance 0.4 is assumed."""
     is_wrong = np.arange(NUM) % 5 < 3
     wrong = TRUE[REGION, None] * SHADING * np.where(is_wrong, 3.0, 1.0)[:, None]
     low, high = RATIO_EVIDENCE

@@ -75,7 +75,7 @@ def sound_views(mitsuba_variant) -> list[tuple[ViewCamera, View]]:
 
 
 class Dataset:
-    """A dataset folder of one shard; tests modify its views before writing it or its files afterwards."""
+    """A dataset folder of one shard; tests change views and records before it is written, or files after."""
 
     def __init__(self, folder: Path, views: list[tuple[ViewCamera, View]]):
         self.folder = folder
@@ -181,13 +181,13 @@ def dataset(tmp_path, sound_views) -> Dataset:
 
 
 def found(folder: Path, library=None) -> dict[str, list]:
-    """Return the faults of a dataset by check, for checks that found any."""
+    """Verify a dataset and return its faults by check, for checks that find any."""
     report = verify_dataset(folder, library)
     return {check: mine for check in CHECKS if (mine := [f for f in report.faults if f.check == check])}
 
 
 def expect_only(folder: Path, check: str, text: str = "", where: str = "") -> None:
-    """Assert that only ``check`` finds faults, one with ``text`` at ``where``, and the exit code is 1."""
+    """Assert that only ``check`` finds faults, one with ``text`` at ``where``, with exit code 1."""
     faults = found(folder)
     assert list(faults) == [check], faults
     assert any(text in fault.got and where in fault.where for fault in faults[check]), faults
@@ -304,7 +304,7 @@ def test_index_faults(dataset):
     dataset.folder.joinpath("index.json").unlink()
     report = verify_dataset(dataset.folder)
     assert [fault.check for fault in report.faults] == ["index"]
-    assert report.num_shards == 2  # existing views are still checked
+    assert report.num_shards == 2  # shards on disk are still checked
 
 
 def test_index_path_that_leaves_the_dataset(dataset):
@@ -508,7 +508,7 @@ def test_slightly_moved_camera(dataset):
 
 @pytest.fixture(scope="module")
 def rough_library(tmp_path_factory):
-    """Yield a library, its room of constant materials, and the id of a wood with a roughness texture."""
+    """Yield a library, its room, and the id of a wood with a roughness texture."""
     from datagen.formats.asset import Material, MaterialAsset, Texture
     from datagen.formats.package import write_package
     from datagen.foundation.images import encode_png
@@ -532,7 +532,7 @@ def rough_library(tmp_path_factory):
 
 
 def assign(dataset: Dataset, rough_library, offset: float = 0.0) -> None:
-    """Assign the textured material to every slot of the room and name the views' material after it."""
+    """Assign the textured material to every slot of the room, and name it in the views' records."""
     _, room, material = rough_library
     assignment = MaterialAssignment(asset=material, adjustment=ColorAdjustment(roughness_offset=offset))
     dataset.placed = PlacedAsset(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Recorded light of views in a closed box of known walls, in dataset shards, and as network input."""
+"""Recorded light of views: in a closed box of known walls, in dataset shards, and as network input."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tests.model.lit_box import ALBEDOS, box_geometry, photographed_box
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 TOLERANCE = 0.04
-"""Relative tolerance of a wall's reflectance, for the noise of 64 rays per surfel and of photographs."""
+"""Relative tolerance of a wall's reflectance, given the noise of 64 rays per surfel and of photographs."""
 
 
 @lru_cache(maxsize=1)
@@ -79,7 +79,7 @@ def test_all_light_of_a_closed_box_is_known(box_light: ViewLight) -> None:
 
 
 def test_mirror_images_show_the_mirrored_wall(box_light: ViewLight) -> None:
-    """A sharp mirror image has the radiance of the wall that the mirrored ray hits."""
+    """The sharp mirror image has the radiance of the wall that the mirrored ray hits."""
     import mitsuba as mi
 
     from mitsuba_plugins.arrays import vectors_from_rows
@@ -135,7 +135,7 @@ def test_without_light_reflectance_is_zero() -> None:
 
 @pytest.fixture(scope="module")
 def lit_shard(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Path:
-    """Render a shard of a recipe with ``statistics: {light: true}``; return its path."""
+    """Render a shard by a recipe with ``statistics: {light: true}``; return its path."""
     root = tmp_path_factory.mktemp("lit")
     folder = plan_small(root / "dataset", root / "library", num_units=1, num_views=4, light=True)
     plan = folder.read_plan()
@@ -171,7 +171,7 @@ def test_recorded_light_has_a_separate_revision(lit_shard: Path, tmp_path: Path)
 
 
 def test_a_network_gets_the_inputs_of_its_training(lit_shard: Path, tmp_path: Path) -> None:
-    """A network that returns its inputs gives the stored buffers except at edges, where statistics differ."""
+    """A network that returns its inputs gives the stored buffers, except at edges where statistics differ."""
     from model.checkpoint import CheckpointCard, save_checkpoint
     from model.networks import MAX_REFLECTANCE, NetworkConfig
     from model.own_network import make_network
