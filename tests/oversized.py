@@ -285,9 +285,8 @@ def run(
 
 
 def _peak_bytes(pid: int) -> int:
-    """Return the peak resident bytes of a process since its start, or 0 if unknown.
-
-    ``wait4`` would include the memory of its parent at the fork."""
+    """Return the peak resident bytes of a process since its start, or 0 if unknown; those of ``wait4`` would
+    include the memory of its parent at the fork."""
     try:
         status = Path(f"/proc/{pid}/status").read_text()
     except OSError:

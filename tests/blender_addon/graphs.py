@@ -24,8 +24,7 @@ F0 = 0.04  # F0 of the default refractive index, 1.5
 
 @dataclass
 class Case:
-    """A graph created by ``build``. ``expected`` channels are constants or functions of position (N, 3);
-    ``kinds`` is how channels are exported: as a "constant", the original "image" or a baked "texture"."""
+    """A graph created by ``build``; ``expected`` channels are constants or functions of position (N, 3)."""
 
     name: str
     build: Callable[[Stage], None]
@@ -37,7 +36,7 @@ CASES: list[Case] = []
 
 
 def case(kinds: dict[str, str] | None = None, **expected: Any) -> Callable[[Callable[[Stage], None]], Any]:
-    """Decorator that registers a graph as a :class:`Case`."""
+    """Decorator that registers a graph; ``kinds``: channels exported as "constant", "image" or "texture"."""
 
     def register(build: Callable[[Stage], None]) -> Callable[[Stage], None]:
         CASES.append(Case(build.__name__, build, expected, kinds or {}))

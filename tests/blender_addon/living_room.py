@@ -36,9 +36,7 @@ _Layout.add_constructor("!Rpy", lambda loader, node: loader.construct_mapping(no
 
 
 def placements(layout: Path) -> list[tuple[str, np.ndarray]]:
-    """Return the mesh file and ``world_from_model`` (4, 4) of each model.
-
-    The layout's rotations are roll, pitch and yaw about the fixed axes x, y and z, in this order."""
+    """Return mesh file and ``world_from_model`` (4, 4) of each model, whose rotations are about fixed axes."""
     meshes, poses = {}, []
     for directive in yaml.load(layout.read_text(), _Layout)["directives"]:
         if "add_model" in directive:

@@ -58,7 +58,7 @@ def test_command_of_blender_exports_like_the_operator(installed: tuple[Path, dic
 
 
 def _values(package: Package, channel: str) -> list[np.ndarray]:
-    """Return the values of a channel at random points of each part, equal for equal meshes."""
+    """Return the values of a channel at random points of each part; equal meshes have equal points."""
     assert isinstance(package.asset, ObjectAsset)
     found = []
     for index, part in enumerate(package.asset.parts):

@@ -42,8 +42,7 @@ def rendered(cycles: tuple[Path, Any], run_module: Callable[..., Any]) -> Path:
 
 
 def _ratio(folder: Path, name: str) -> tuple[np.ndarray, float]:
-    """Return the ratio of mean radiance, Mitsuba / Cycles, of each colour channel that is not black, and the
-    mean absolute difference of the images relative to the mean of Cycles."""
+    """Return ratios of mean radiance, Mitsuba / Cycles, of channels with light, and the relative error."""
     ours, theirs = np.load(folder / "mitsuba" / f"{name}.npy"), np.load(folder / "cycles" / f"{name}.npy")
     lit = theirs.mean(axis=(0, 1)) > 0
     ratio = ours.mean(axis=(0, 1))[lit] / theirs.mean(axis=(0, 1))[lit]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reads the tiles of reports (files of the pixels of one buffer) as the report's page does."""
+"""Reads the tiles of reports, each of which stores one buffer of a view, as the report's page does."""
 
 from __future__ import annotations
 

@@ -30,7 +30,6 @@ def plan_small(
     light: bool = False,
 ) -> DatasetFolder:
     """Write a plan to ``root``, and the library unless it exists; equal arguments give equal units.
-
     Cameras look at the ``objects``, if given, otherwise at random points."""
     if not library_root.exists():
         write_small_library(library_root)

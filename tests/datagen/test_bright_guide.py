@@ -96,7 +96,7 @@ def many(points: NDArray, copies: int) -> NDArray:
 
 
 def arriving(point: NDArray) -> tuple[NDArray, NDArray]:
-    """Return directions (K, 3) to 8 x 8 parts of each ceiling cell and radiance times solid angle (K,)."""
+    """Return directions (K, 3) to 8 x 8 parts of each ceiling cell, and radiance times solid angle (K,)."""
     side = 8 * CELLS
     middle = (np.arange(side) + 0.5) / side - 0.5
     x, y = np.meshgrid(middle, middle, indexing="ij")

@@ -25,8 +25,7 @@ IS_OUTSIDE = np.array([True, True, False, False])
 
 def walls(seed: int = 0) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Return log radiance (N,), known irradiance (N,), estimated irradiance by four groups of light (N, 4)
-    and region (N,) of surfels on 48 textured walls, along which the light of each group varies independently.
-    """
+    and region (N,) of surfels on 48 textured walls, along which each group's light varies independently."""
     random = np.random.default_rng(seed)
     region = np.repeat(np.arange(48), 400)
     along = np.tile(np.linspace(0, 1, 400), 48)

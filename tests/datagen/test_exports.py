@@ -133,8 +133,7 @@ def _seen_by(poses: dict[str, Any], camera: dict[str, Any], points_m: np.ndarray
 
 
 def test_bop_poses_project_models_onto_their_masks(dataset: Path, views: list[View], tmp_path: Path) -> None:
-    """Unprojected pixels of an object's mask are inside its model's box, and the projected model encloses the
-    mask."""
+    """Unprojected pixels of a mask are inside the model's box, and the projected model encloses the mask."""
     import trimesh
 
     out = export("bop", dataset, tmp_path / "bop")

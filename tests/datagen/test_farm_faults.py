@@ -190,8 +190,7 @@ def test_ten_random_kills(expected: dict[str, str], tmp_path: Path, library_root
 
 @pytest.mark.slow
 def test_fifty_kills_on_each_of_two_datasets(tmp_path: Path, library_root: Path) -> None:
-    """Kill workers and parents at random moments and while a view, a tar or a marker is written; print how
-    often."""
+    """Kill workers and parents at random moments and while a view, tar or marker is written; print counts."""
     undisturbed = plan_small(tmp_path / "undisturbed", library_root, num_units=60)
     run_local(undisturbed.root, LocalOptions(workers=2))
     expected = _hashes(undisturbed)

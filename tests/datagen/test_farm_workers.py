@@ -107,8 +107,7 @@ Deaths = tuple[DatasetFolder, dict, list[tuple[str, int]]]
 
 @pytest.fixture(scope="module")
 def deaths(tmp_path_factory: pytest.TempPathFactory, library_root: Path) -> dict[str, Deaths]:
-    """Folder, summary and attempts of one run per fault: "die" (the workers of units 1 and 2 are killed) and
-    "exhaust" (unit 1 exhausts the memory)."""
+    """Folder, summary and attempts of a run with each fault: workers die, or a unit exhausts the memory."""
     found = {}
     for fault, num_units in (("die", 4), ("exhaust", 3)):
         root = tmp_path_factory.mktemp(fault) / "a set"
@@ -147,8 +146,7 @@ def test_a_worker_that_dies_loses_its_unit_only(
 
 
 def test_outcomes_during_a_stop_count(tmp_path: Path, library_root: Path) -> None:
-    """A unit that finishes in the grace period is done, one that fails is recorded as failed, and one whose
-    worker dies is neither."""
+    """Units that finish or fail during a stop are recorded as such, the unit of a dead worker is not."""
     folder = plan_small(tmp_path / "set", library_root, num_views=1)
     summary, _ = _run(folder, "stop", workers=3, attempts=1, stages=[])
     assert summary["done"] == ["small-00000"]

@@ -31,7 +31,6 @@ INDICES = np.array([0, 1, 2, 0, 2, 3], np.uint16)
 
 def compressed(path: Path, filters: bool = False, **changes: Any) -> Path:
     """Write the quad of the uncompressed tests with all buffer views compressed by meshopt; return ``path``.
-
     The fallback buffer is omitted, as by gltfpack. ``changes`` replace fields of the extension."""
     builder = Builder().quad().material()
     data, views = b"", []

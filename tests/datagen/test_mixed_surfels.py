@@ -28,8 +28,7 @@ NUM_WALL_FACES = 10
 
 def _geometry() -> CaptureGeometry:
     """Return a room of 4 x 4.5 x 2.5 m whose open side at y = 2 m has slats of 2 cm at intervals of 11 cm.
-
-    The intervals exceed a pixel, so adjacent pixels show the same slat or none."""
+    Adjacent pixels show the same slat or none."""
     x, y, low, z = 2, 2, -2.5, 2.5
     corners = [
         [(-x, low, 0), (x, low, 0), (x, y, 0), (-x, y, 0)],
@@ -110,7 +109,7 @@ def test_slats_do_not_get_the_radiance_of_the_sky_behind_them(
 def test_mixed_surfels_in_unknown_light_keep_their_radiance(
     views: tuple[TracedView, ...], traced: TracedGeometry
 ) -> None:
-    """If photographs show only the slats, little of their incident light is known, and no bound applies."""
+    """If photographs show only the slats, little of their incident light is known, so the bound is loose."""
     seen, found = _lit(views[:3], traced, is_bounded=False), _lit(views[:3], traced)
     assert np.median(_of_slats(found) / _of_slats(seen)) > 0.5
 
@@ -162,7 +161,7 @@ def test_pixels_without_other_surfaces_keep_their_values(
 
 @pytest.mark.parametrize(("part", "expected"), [(1.0, 1.0), (0.45, 0.5), (0.0, 0.0)])
 def test_slope_is_the_observed_part_of_the_predicted_mixture(part: float, expected: float) -> None:
-    """The median slope is divided by 0.9, the minimum of exact meshes, and clipped to [0, 1]."""
+    """The median slope is divided by 0.9, its minimum for exact meshes, so 0.45 of the mixture gives 0.5."""
     rng = np.random.default_rng(3)
     share = rng.uniform(0.2, 0.8, 200_000)
     known, beyond = rng.uniform(0.1, 1, (2, len(share), 1)) * np.ones(3)

@@ -291,8 +291,7 @@ def test_target_is_met_and_recorded(budgeted: SceneRenderer) -> None:
 
 
 def test_record_is_compared_with_the_target(budgeted: SceneRenderer) -> None:
-    """The recorded error includes the standard error, because a view stops at an estimate that may be low by
-    chance."""
+    """The recorded error includes the standard error, since an estimate that stops a view tends to be low."""
     for passes in (1, 3):
         job = budgeted.view_job(1)
         for _ in range(passes):
@@ -376,7 +375,6 @@ def test_halves_of_a_view_are_independent(budgeted: SceneRenderer) -> None:
 
     def correlation(*halves: PathSums) -> float:
         """Return the rank correlation of two images' relative noise, measured against separate references.
-
         For independent noise its standard deviation is 1 / sqrt(pixels)."""
         noise = [
             luminance(half.mean() - image)[lit] / luminance(image)[lit]

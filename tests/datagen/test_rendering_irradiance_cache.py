@@ -242,8 +242,7 @@ def test_light_passes_half_transparent_surfaces(tmp_path: Path) -> None:
 def means_of_views(
     tmp_path: Path, scene: SmallScene, cameras: list[Camera], light: Any
 ) -> dict[str, NDArray]:
-    """Return the mean radiance (V,) of views by recipe: full paths ("plain") and paths that use a cache built
-    from another view ("cached")."""
+    """Return means (V,) of views by full paths ("plain") and with a cache built from one view ("cached")."""
     found = {}
     for name, recipe in (("plain", PLAIN), ("cached", CACHED)):
         room = renderer(tmp_path / name, scene, CAMERAS[:1], recipe, lights=(light,))

@@ -48,7 +48,7 @@ def two_chambers(tmp_path: Path) -> SceneRenderer:
 def spread(
     room: SceneRenderer, view: int, count: int = 8, samples: int = 64, limit: float = np.inf
 ) -> NDArray[np.float64]:
-    """Return independent images (count, H, W, 3) of one view; ``limit`` clamps light after two bounces."""
+    """Return independent images (count, H, W, 3) of one view; ``limit`` is the clamp of indirect light."""
     sensor = room.sensor(room.configuration.cameras[view].camera())
     images = [room.tracer.accumulate(sensor, samples, 50 + k, limit=limit).mean() for k in range(count)]
     return np.stack(images).astype(np.float64)
@@ -122,8 +122,7 @@ def test_noise_behind_a_wall_falls_without_bias(tmp_path: Path) -> None:
 
 
 def test_light_is_attributed_to_its_technique(tmp_path: Path) -> None:
-    """Light of a lamp is attributed to the lamp, that of the sky to its opening, and that of the sun to the
-    environment emitter."""
+    """Lamp light is attributed to the lamp, sky light to its opening, the sun to the environment emitter."""
     import drjit as dr
     import mitsuba as mi
 

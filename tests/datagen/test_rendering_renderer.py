@@ -221,7 +221,7 @@ def test_later_samples_continue_the_sequence(room: SceneRenderer) -> None:
 
 
 def test_the_denoiser_does_not_import_torch() -> None:
-    """Importing torch would take longer than rendering a small configuration, and 200 MB of each worker."""
+    """Importing torch takes longer than rendering a small configuration, and 200 MB in each worker."""
     code = (
         "import sys\n"
         "import numpy as np\n"

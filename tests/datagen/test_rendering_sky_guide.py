@@ -166,7 +166,6 @@ def test_the_guide_is_the_same_each_time(tmp_path: Path) -> None:
 
 def observed(count: int = 4096, **more: Any) -> Any:
     """Return observations of a room of 4 x 2 x 1 m with ``count`` points and a quarter as many rays.
-
     The rays start 0.2 to 0.4 m above the floor and leave through one point of the ceiling."""
     from datagen.rendering.transport.sky_observation import SkyObservations
 
@@ -240,7 +239,7 @@ def test_a_guide_covers_the_opening_and_a_margin() -> None:
     assert bool(found.contains(centre)[0]) and not bool(found.contains(mi.Point3f(0.0, 0.0, 9.0))[0])
     straight_up = observed(directions=np.tile([0.0, 0.0, 1.0], (1024, 1)), origins_m=np.full((1024, 3), 0.5))
     one = fit_sky_guide(open_sky(), straight_up)
-    assert one is not None and one.shares.sum() == pytest.approx(0.5)  # never more than half
+    assert one is not None and one.shares.sum() == pytest.approx(0.5)  # the maximum share
     side = one.box_m[1] - one.box_m[0]
     by_cell = np.array(one.density) * np.repeat(side.prod() / side, 2 * CELLS**2) / CELLS**2
     chance = np.sort(2.0 * one.shares[np.array(one.opening_of_cell)] * by_cell)[::-1]

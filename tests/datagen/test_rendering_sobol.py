@@ -13,8 +13,7 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
 
 def points(key: Any, count: int, *, first: int = 0, pairs: int = 3) -> NDArray[np.float64]:
-    """Return the first pairs of dimensions (pairs, count, 2) of samples ``first``, ``first`` + 1, ... of a
-    pixel."""
+    """Return the first pairs of dimensions (pairs, count, 2) of a pixel, starting at its sample ``first``."""
     import drjit as dr
     import mitsuba as mi
 

@@ -461,8 +461,7 @@ def test_dry_run_writes_nothing(dataset: Path, tmp_path: Path, capsys: pytest.Ca
 
 @pytest.fixture(scope="module")
 def compared(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
-    """Write a report on the predictions of two methods, the second with one missing and four invalid views;
-    return the folders of the report and of the predictions."""
+    """Write a report on two methods, one with a missing and four invalid views; return all three folders."""
     root = tmp_path_factory.mktemp("predictions")
     good, bad = (predict(dataset, root / name, seed) for seed, name in enumerate(("good", "B & W")))
     places = {f"{v.record.configuration}/{v.record.name}": v for v in Dataset(dataset).views()}

@@ -52,7 +52,7 @@ def typical(
 ) -> NDArray[np.float64]:
     nowhere = np.zeros((NUM, 3))
     radiance = TRUE[REGION, None] * SHADING if radiance is None else radiance
-    surfels: Any = Surfels(nowhere, nowhere, radiance, np.arange(NUM))  # a triangle each
+    surfels: Any = Surfels(nowhere, nowhere, radiance, np.arange(NUM))  # one triangle per surfel
     baker: Any = Baker(np.broadcast_to(np.float32(photographed), (NUM,)))
     return typical_reflectance(baker, surfels, Regions(REGION, np.array(objects, np.int32)), 48)
 
