@@ -243,7 +243,7 @@ _PATH_EVENTS = {
     "os.remove": (1, 1), "os.rmdir": (1, 1), "os.link": (2, 2), "os.symlink": (2, 0), "os.truncate": (1, 0),
     "os.chmod": (1, 2), "os.chown": (1, 3), "os.utime": (1, 3),
 }  # fmt: skip
-"""Audit events of files: number of leading path arguments, and index of the first folder descriptor or 0."""
+"""Audit events of files: number of leading path arguments; index of the first folder descriptor, or 0."""
 _WATCHED = {
     *_PATH_EVENTS, "pickle.find_class", "subprocess.Popen", "os.system", "os.exec", "os.posix_spawn",
     "os.fork", "socket.connect", "socket.bind",

@@ -295,7 +295,7 @@ def test_the_matrix_has_no_cycle() -> None:
 
 
 def test_every_imported_name_exists() -> None:
-    """Imports within functions are included, since no other check may run them."""
+    """Imports within functions are included, since they may never run in a test."""
     missing = []
     for path in _sources():
         for line, module, names in _source(path).froms:

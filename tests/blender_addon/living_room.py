@@ -36,7 +36,7 @@ _Layout.add_constructor("!Rpy", lambda loader, node: loader.construct_mapping(no
 
 
 def placements(layout: Path) -> list[tuple[str, np.ndarray]]:
-    """Return mesh file and ``world_from_model`` (4, 4) of each model, whose rotations are about fixed axes."""
+    """Mesh file and ``world_from_model`` (4, 4) of each model; rotations are about the fixed axes x, y, z."""
     meshes, poses = {}, []
     for directive in yaml.load(layout.read_text(), _Layout)["directives"]:
         if "add_model" in directive:

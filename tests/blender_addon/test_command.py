@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The export command: version, and progress as a bar on a terminal, else a log line per half minute."""
+"""The export command: version, and progress by a bar on terminals, otherwise by a line per half minute."""
 
 from __future__ import annotations
 

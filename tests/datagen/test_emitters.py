@@ -37,7 +37,7 @@ def camera(width: int) -> Camera:
 
 
 def photographed(slats: list[Mesh]) -> tuple[TracedGeometry, TracedView, NDArray[np.bool_]]:
-    """Return the geometry of a 1 m lamp behind ``slats``, its box-filtered photograph and its mask of faces."""
+    """Return the geometry of a 1 m lamp behind ``slats``, a box-filtered photograph, and the lamp's faces."""
     mesh = joined([quad((-0.5, -0.5), (0.5, 0.5), 0.0), *slats])
     others = (GeometryPart("slats", 2, len(mesh.faces) - 2),) if slats else ()
     geometry = CaptureGeometry(mesh, (GeometryPart("lamp", 0, 2, (1.0, 1.0, 1.0)), *others))
