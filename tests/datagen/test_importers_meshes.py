@@ -82,7 +82,7 @@ def test_obj_keeps_size_materials_and_triangles(tmp_path: Path) -> None:
 
 
 def test_corners_of_different_kinds_are_distinguished() -> None:
-    """One corner lacks a UV and one has a normal, so the number of indices is that of uniform corners."""
+    """One corner lacks a UV and another has a normal, so there are as many indices as for uniform corners."""
     corners = [b"%d/%d" % (k + 1, 300 - k) for k in range(300)]
     corners[1], corners[2] = b"2", b"3/298/7"
     found = corner_indices(corners, (300, 300, 9))

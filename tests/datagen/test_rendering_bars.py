@@ -107,7 +107,7 @@ def test_bars_keep_their_values(window: Window) -> None:
 
 
 def test_recorded_error_of_bars_is_the_true_error(window: Window) -> None:
-    """The recorded error is within a factor of 2; without that of pixels kept noisy, it would be too low."""
+    """The recorded error is exact to a factor of 2; without the noise of undenoised pixels it is too low."""
     recorded = window.view.render.estimated_rel_mse
     true = relative_mse(window.view.buffers["beauty"], *window.truth, exposed=True)
     assert recorded is not None and 0.5 * true < recorded < 2.0 * true

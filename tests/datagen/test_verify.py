@@ -75,7 +75,7 @@ def sound_views(mitsuba_variant) -> list[tuple[ViewCamera, View]]:
 
 
 class Dataset:
-    """A dataset folder of one shard; tests change views and records before it is written, or files after."""
+    """A dataset folder of one shard; tests change its views before it is written, or its files afterwards."""
 
     def __init__(self, folder: Path, views: list[tuple[ViewCamera, View]]):
         self.folder = folder
