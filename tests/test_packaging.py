@@ -35,7 +35,7 @@ MODULES = {
 BROUGHT_ALONG = {"drjit": "mitsuba", "mathutils": "bpy", "bpy_extras": "bpy"}
 """Modules installed by another distribution, which determines their version."""
 PROVIDED = {"tensorboard": "torch.utils.tensorboard"}
-"""Distributions that are imported only through a module of another one."""
+"""Distributions that are imported only indirectly, and the module that imports each of them."""
 
 
 def _names(requirements: list[str]) -> set[str]:

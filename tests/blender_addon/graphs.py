@@ -156,7 +156,7 @@ def smooth_image(size: int = 64, channels: int = 3) -> np.ndarray:
 
 
 def lookup(pixels: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Look up ``uv`` (N, 2) bilinearly in the tiled ``pixels`` (H, W, C), whose row 0 is at v = 1: (N, C)."""
+    """Bilinear lookup (N, C), at ``uv`` (N, 2), in tiled ``pixels`` (H, W, C) whose row 0 is at v = 1."""
     height, width = pixels.shape[:2]
     x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
     x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
