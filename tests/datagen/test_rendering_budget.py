@@ -26,8 +26,10 @@ from datagen.rendering.clamped_light import missing_error
 from datagen.rendering.error import relative_mse
 from datagen.rendering.renderer import SceneRenderer
 from datagen.rendering.sample_budget import (
+    BIAS_PER_SPREAD,
     FIRST_SAMPLES,
     MIN_ADDED,
+    QUICK_BIAS_PER_SPREAD,
     TILE_PX,
     ErrorEstimate,
     PathSums,
@@ -353,6 +355,20 @@ def test_views_above_their_target_are_denoised_well(tmp_path: Path, ceiling: int
     record = make(tmp_path / "room", max_rel_mse=1e-4, max_path_samples=ceiling).render_view(0).render
     assert record.denoiser.endswith("high")
     assert record.path_samples == ceiling and record.at_ceiling
+
+
+def test_the_prior_of_the_bias_depends_on_the_denoiser(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    priors: list[float] = []
+
+    def noted(*arguments: Any) -> ErrorEstimate:
+        priors.append(arguments[-1])
+        return estimate_error(*arguments)
+
+    monkeypatch.setattr("datagen.rendering.view_job.estimate_error", noted)
+    make(tmp_path / "room", max_rel_mse=1e-4, max_path_samples=2 * QUICK_SAMPLES).render_view(0)
+    assert (priors[0], priors[-1]) == (QUICK_BIAS_PER_SPREAD, BIAS_PER_SPREAD)
 
 
 def test_another_seed_equals_a_separate_renderer(tmp_path: Path) -> None:
