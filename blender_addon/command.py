@@ -50,16 +50,22 @@ def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentP
                         help="mean change of a channel below which its texture is not enlarged")  # fmt: skip
     parser.add_argument("--max-texture", dest="max_texture_px", type=int, default=default.max_texture_px,
                         metavar="PX", help="maximum side of a texture, a power of two")  # fmt: skip
-    parser.add_argument("--texture-bits", type=int, choices=(8, 16), default=default.texture_bits)
+    parser.add_argument("--texture-bits", type=int, choices=(8, 16), default=default.texture_bits,
+                        help="bits per channel of textures")  # fmt: skip
     parser.add_argument("--bake-normals", action="store_true", help="bake bump and normal maps")
     parser.add_argument("--license", default="", help="SPDX identifier, if the file's tags have none")
-    parser.add_argument("--author", default="")
-    parser.add_argument("--source", default="")
+    parser.add_argument("--author", default="", help="author, if the file's tags have none")
+    parser.add_argument(
+        "--source", default="", help="origin, such as a web address, if the file's tags have none"
+    )
     parser.add_argument("--report", action="store_true", help="write fidelity.html to the folder --out")
     parser.add_argument(
-        "--report-python", default="", metavar="EXE", help="Python with this project, for the report"
+        "--report-python",
+        default="",
+        metavar="EXE",
+        help="Python executable with this project installed, for the report",
     )
-    parser.add_argument("--check", action="store_true", help="list the problems and write nothing")
+    parser.add_argument("--check", action="store_true", help="list the problems, and write nothing")
     return parser
 
 

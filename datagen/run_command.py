@@ -27,7 +27,9 @@ STAGES = ("render", "stats", "pack")
 RecipeArgument = Annotated[Path, typer.Argument(help="Recipe file (YAML), or the name of a bundled recipe.")]
 LibraryOption = Annotated[
     list[str] | None,
-    typer.Option("--library", help='Library folder, repeatable; "bundled" is that of the project.'),
+    typer.Option(
+        "--library", help='Library folder, repeatable; "bundled" is the one installed with the project.'
+    ),
 ]
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check the input, print the plan, stop.")]
 
@@ -70,7 +72,9 @@ class RunOptions:
             min=0, help="Attempts per unit before it counts as failed; 0: run --unit once in this process."
         ),
     ] = 3
-    deep: Annotated[bool, typer.Option("--deep", help="Check the hash of every shard for the index.")] = False
+    deep: Annotated[bool, typer.Option("--deep", help="Check the hash of every shard before indexing.")] = (
+        False
+    )
     sheets: Annotated[bool, typer.Option(help="Write a contact sheet for each configuration.")] = True
     space_check: Annotated[
         bool, typer.Option(help="Start only if the disk has space for the estimated need.")
@@ -107,7 +111,7 @@ def run(
     ],
     changes: RecipeChanges,
     options: RunOptions,
-    out: Annotated[Path | None, typer.Option(help="Dataset folder to write, for a recipe.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Dataset folder to write; only with a recipe.")] = None,
     workers: WorkersOption = 1,
     dry_run: DryRunOption = False,
 ) -> None:
@@ -303,7 +307,9 @@ def estimate(
     recipe_path: RecipeArgument,
     workers: WorkersOption = 1,
     library: LibraryOption = None,
-    out: Annotated[Path, typer.Option(help="Folder of the dataset, for its free disk space.")] = Path(),
+    out: Annotated[
+        Path, typer.Option(help="Planned dataset folder; its disk is checked for free space.")
+    ] = Path(),
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Predict time, disk and memory of a recipe from timed samples.

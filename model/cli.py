@@ -45,7 +45,9 @@ def train(
     config: Annotated[Path | None, typer.Option(help="YAML file with changes to the preset.")] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", help="KEY=VALUE overrides preset and file; repeatable; e.g. data.workers=2."),
+        typer.Option(
+            "--set", help="KEY=VALUE that overrides preset and file, such as data.workers=2, repeatable."
+        ),
     ] = None,
     network: Annotated[
         str | None,
@@ -54,7 +56,7 @@ def train(
         ),
     ] = None,
     device: Annotated[
-        str | None, typer.Option(help="cpu, cuda, cuda:1; default: a GPU if there is one.")
+        str | None, typer.Option(help="cpu, cuda or cuda:1; default: a GPU if there is one.")
     ] = None,
     threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0: all.")] = 0,
     dry_run: Annotated[

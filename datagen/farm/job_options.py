@@ -56,27 +56,38 @@ class SlurmOptions:
     resources but shares account, qos, exclude, mail and, by default, partition. Raises :class:`InputError`.
     """
 
-    time_limit: Annotated[str, typer.Option("--time", help="Time limit of a unit.")] = "04:00:00"
+    time_limit: Annotated[
+        str, typer.Option("--time", help="Time limit of a unit, such as 04:00:00 or 1-12.")
+    ] = "04:00:00"
     memory: Annotated[str, typer.Option(help="Memory of a unit.")] = "8G"
     cpus: Annotated[int, typer.Option(min=1, help="Processors of a unit.")] = 4
     gpus: Annotated[int, typer.Option(min=0, help="GPUs of a unit.")] = 0
-    throttle: Annotated[int, typer.Option(min=0, help="Units running at a time; 0 = no limit.")] = 0
+    throttle: Annotated[
+        int, typer.Option(min=0, help="Maximum number of units running at once; 0: no limit.")
+    ] = 0
     notice_s: Annotated[
-        int, typer.Option("--notice", min=1, help="Seconds of notice before the time limit.")
+        int,
+        typer.Option(
+            "--notice", min=1, help="Seconds before the time limit at which a unit is told to stop."
+        ),
     ] = 120
     attempts: Annotated[int, typer.Option(min=1, help="Attempts per unit before it counts as failed.")] = 3
-    setup: Annotated[str, typer.Option(help="Shell code that makes `datagen` callable on a node.")] = ""
+    setup: Annotated[str, typer.Option(help="Shell commands that make `datagen` callable on a node.")] = ""
     partition: Annotated[str, typer.Option(help="Slurm partition, or PBS queue.")] = ""
     account: Annotated[str, typer.Option(help="Account to charge.")] = ""
-    max_array: Annotated[int, typer.Option(min=2, help="The cluster's longest array (MaxArraySize).")] = 1001
+    max_array: Annotated[
+        int, typer.Option(min=2, help="Largest job array of the cluster (MaxArraySize).")
+    ] = 1001
     qos: Annotated[str, typer.Option(help="Slurm quality of service.")] = ""
     constraint: Annotated[str, typer.Option(help="Required features of the units' nodes.")] = ""
     exclude: Annotated[str, typer.Option(help="Nodes to leave out.")] = ""
-    mail_user: Annotated[str, typer.Option(help="Address for Slurm's mails.")] = ""
-    mail_type: Annotated[str, typer.Option(help="Events of Slurm's mails, such as END,FAIL.")] = ""
+    mail_user: Annotated[str, typer.Option(help="Address for Slurm's e-mails.")] = ""
+    mail_type: Annotated[str, typer.Option(help="Events that Slurm e-mails about, such as END,FAIL.")] = ""
     sbatch_options: Annotated[
         tuple[str, ...],
-        typer.Option("--sbatch-option", help="NAME or NAME=VALUE for sbatch, for the units; repeatable."),
+        typer.Option(
+            "--sbatch-option", help="Additional sbatch option of the units: NAME or NAME=VALUE, repeatable."
+        ),
     ] = ()
     collect_time: Annotated[
         str, typer.Option(help="Time limit of the final job (index, verify, report).")
@@ -84,10 +95,10 @@ class SlurmOptions:
     collect_memory: Annotated[str, typer.Option(help="Memory of the final job.")] = "4G"
     collect_cpus: Annotated[int, typer.Option(min=1, help="Processors of the final job.")] = 1
     collect_partition: Annotated[
-        str, typer.Option(help="Partition of the final job; default: partition.")
+        str, typer.Option(help="Partition of the final job; default: --partition.")
     ] = ""
     collect_options: Annotated[
-        tuple[str, ...], typer.Option("--collect-option", help="Like --sbatch-option, for the final job.")
+        tuple[str, ...], typer.Option("--collect-option", help="Like --sbatch-option, but for the final job.")
     ] = ()
 
     def __post_init__(self) -> None:

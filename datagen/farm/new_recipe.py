@@ -31,7 +31,9 @@ def _question(prompt: str, text: str, least: int | None = None) -> Any:
 
 @recipe.command()
 def new(
-    file: Annotated[Path, typer.Argument(help="Recipe to write (YAML), named after the dataset.")],
+    file: Annotated[
+        Path, typer.Argument(help="Recipe to write (YAML); its file name also names the dataset.")
+    ],
     configurations: Annotated[int, _question("How many rooms [10]", "Number of rooms.", 1)] = 10,
     views: Annotated[int, _question("How many views of each [12]", "Views per configuration.", 1)] = 12,
     resolution: Annotated[

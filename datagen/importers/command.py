@@ -52,7 +52,7 @@ class ImportWords:
     ] = None
     defines: Annotated[
         tuple[str, ...],
-        typer.Option("--define", help="NAME=VALUE of a variable $NAME of a Mitsuba scene, repeatable."),
+        typer.Option("--define", help="NAME=VALUE sets $NAME in a Mitsuba scene, repeatable."),
     ] = ()
     allowed: Annotated[
         tuple[Path, ...],
@@ -105,7 +105,7 @@ def import_command(
     library: Annotated[Path, typer.Option(help="Library folder to import into.")],
     words: ImportWords,
     split: Annotated[
-        bool, typer.Option("--split", help="Make an object of each separate group in a glTF file.")
+        bool, typer.Option("--split", help="Import each separate group of a glTF file as an object.")
     ] = False,
 ) -> None:
     """Convert files of other programs to asset packages. Approximations are listed.

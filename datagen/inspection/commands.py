@@ -35,7 +35,7 @@ def doctor() -> None:
 def library(
     paths: Annotated[
         list[str] | None,
-        typer.Argument(help='Library folders; "bundled" (the default) is that of the project.'),
+        typer.Argument(help='Library folders; "bundled" (default) is installed with the project.'),
     ] = None,
     check: Annotated[bool, typer.Option("--check", help="Check every asset, mesh and texture.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
@@ -122,7 +122,7 @@ def verify(
 class ReportOptions:
     """Options for the contents of the report, and the number of processes that write it."""
 
-    pixels: Annotated[str, typer.Option(help="Number of views with pixels for the viewer, or all.")] = "400"
+    pixels: Annotated[str, typer.Option(help="Number of views to show in the pixel viewer, or all.")] = "400"
     sources: Annotated[bool, typer.Option(help="Write which views each pixel's statistics use.")] = True
     check: Annotated[bool, typer.Option("--verify/--no-verify", help="Verify the dataset first.")] = True
     cost: Annotated[

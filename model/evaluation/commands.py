@@ -23,7 +23,7 @@ def evaluate(
     ] = None,
     compare: Annotated[
         Path | None,
-        typer.Option("--compare", help="Print differences to another run (evaluation.json or folder)."),
+        typer.Option("--compare", help="Print differences from another run (evaluation.json or its folder)."),
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the planned work; render nothing.")
@@ -32,7 +32,7 @@ def evaluate(
 ) -> None:
     """Evaluate reconstructions on test scenes.
 
-    Writes tables of errors and times, and a page of pictures. After Ctrl-C, the same command resumes.
+    Write tables of errors and times, and a page of pictures. After Ctrl-C, the same command resumes.
 
     Example: materials evaluate small --out evaluation
     """

@@ -50,7 +50,7 @@ def infer(
     options: InferOptions,
     checkpoint: CheckpointOption = None,
     truth: Annotated[
-        bool, typer.Option("--truth", help="Merge a rendered capture's ground truth, not predictions.")
+        bool, typer.Option("--truth", help="Merge a rendered capture's ground truth instead of predictions.")
     ] = False,
     listener: ListenerOption = None,
     quiet: QuietOption = False,
@@ -123,9 +123,11 @@ def photos(
 ) -> None:
     """Turn a folder of photographs into an asset.
 
-    Cameras and mesh are COLMAP's; a turntable of the asset is rendered.
+    COLMAP estimates cameras and mesh. A turntable of the asset is rendered as well.
 
-    After an interruption, the same command continues. Example: materials photos kitchen --out kitchen-asset
+    After an interruption, the same command continues.
+
+    Example: materials photos kitchen --out kitchen-asset
     """
     from model.checkpoint import bundled_checkpoint
     from model.reconstruction.photos.pipeline import make_asset

@@ -45,7 +45,9 @@ class AssetOptions:
     is_checked: Annotated[
         bool, typer.Option("--check/--no-check", help="Compare the mesh with the photographs first.")
     ] = True
-    has_usd: Annotated[bool, typer.Option("--usd", help="Also write NAME.usdz (needs extra usd).")] = False
+    has_usd: Annotated[bool, typer.Option("--usd", help="Also write NAME.usdz (needs the extra `usd`).")] = (
+        False
+    )
 
     def __post_init__(self) -> None:
         if self.atlas != "auto" and not 16 <= self.atlas <= 16384:
@@ -73,7 +75,8 @@ class InferOptions(AssetOptions):
     ] = "depth"
     weights: Annotated[Weights, typer.Option(help="Weights of the views in the merge.")] = "resolution"
     materials: Annotated[
-        Materials, typer.Option(help="Source of materials; light: recorded by the photographs.")
+        Materials,
+        typer.Option(help="Source of materials: the networks, the light in the photographs, or both."),
     ] = "both"
     precision: Annotated[
         Literal["auto", "float32", "bfloat16"], typer.Option(help="Precision of the networks.")
@@ -96,7 +99,7 @@ class InferOptions(AssetOptions):
     is_evened: bool = True
     mends_poses: Annotated[
         bool,
-        typer.Option("--mend-poses", help="Correct pose errors of millimetres, and report them."),
+        typer.Option("--mend-poses", help="Correct pose errors of a few millimetres, and report them."),
     ] = False
     mends_mesh: Annotated[
         bool, typer.Option("--mend-mesh/--no-mend-mesh", help="Smooth a noisy mesh, and fill its holes.")

@@ -66,12 +66,16 @@ class CaptureOptions(FrameOptions):
     images: Annotated[Path | None, typer.Option(help="Folder of the photographs.")] = None
     library: Annotated[
         tuple[Path, ...],
-        typer.Option(help="Packages of a shard's assets (repeatable); default: its dataset's, or bundled."),
+        typer.Option(
+            help="Library of a shard's assets, repeatable; default: those of its dataset, or bundled."
+        ),
     ] = ()
     mesh_up: Annotated[Literal["same", Axis], typer.Option(help="Up axis of the mesh.")] = "same"
     encoding: Annotated[Encoding, typer.Option(help="Transfer function of the photographs' values.")] = "auto"
     exposure: Annotated[
         Exposure,
-        typer.Option(help="auto: EXIF and overlapping surfaces; exif: EXIF alone; common: unchanged."),
+        typer.Option(
+            help="Relative exposures: auto (EXIF and overlapping surfaces), exif (EXIF alone), common (none)."
+        ),
     ] = "auto"
     limits: Limits | None = None

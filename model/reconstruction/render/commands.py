@@ -29,7 +29,7 @@ class LightWords:
     """Options for lights, inserted objects and samples, as text."""
 
     sky: Annotated[
-        str | None, typer.Option(help="Instead of the asset's lights: an environment map (EXR) or R,G,B.")
+        str | None, typer.Option(help="Replace the asset's lights: environment map (EXR) or radiance R,G,B.")
     ] = None
     lamp: Annotated[
         tuple[str, ...],
@@ -40,7 +40,7 @@ class LightWords:
     insert: Annotated[
         tuple[str, ...],
         typer.Option(
-            help="Object, position (m), yaw: PACKAGE@X,Y,Z[,DEGREES], repeatable; PACKAGE may be bundled:ID."
+            help="Object to insert, position (m) and yaw: PACKAGE@X,Y,Z[,DEGREES], repeatable; PACKAGE may be bundled:ID."
         ),
     ] = ()
     samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel.")] = 16
@@ -81,7 +81,7 @@ def render(
 ) -> None:
     """Render an asset from its cameras or as an animation.
 
-    Options replace its lights and insert objects. An animation follows a path through the room and loops
+    Options replace the asset's lights and insert objects. An animation follows a path through the room and loops
     seamlessly.
 
     Example: materials render room/asset --out renders --sky 1,1,1 --insert bundled:mug@1,2,0.8
@@ -113,7 +113,8 @@ def view(
     asset: Annotated[Path, typer.Argument(help="Output of `materials infer`, or an asset package.")],
     out: Annotated[Path, typer.Option(help="Folder of the page.")],
     max_side: Annotated[
-        int, typer.Option(min=64, max=4096, help="Larger textures are averaged down.")
+        int,
+        typer.Option(min=64, max=4096, help="Maximum side of textures in texels; larger ones are shrunk."),
     ] = 4096,
     quiet: QuietOption = False,
 ) -> None:

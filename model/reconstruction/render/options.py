@@ -25,7 +25,7 @@ class FilmOptions:
     ] = "orbit"
     frames: Annotated[int, typer.Option(min=2, help="Animation: number of frames.")] = 48
     frames_per_second: Annotated[
-        float, typer.Option("--fps", help="Animation: frames per second, in GIF at most 50.")
+        float, typer.Option("--fps", help="Animation: frames per second, at most 50 for GIF.")
     ] = 12.0
     max_width_px: Annotated[
         int, typer.Option("--max-width", min=16, help="Animation: maximum side of frames in pixels.")
