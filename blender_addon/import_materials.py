@@ -22,7 +22,7 @@ def package_file(folder: Path, name: str) -> Path:
     """Path of a file in a package; raises ``ValueError`` if it is outside the package or missing."""
     parts = PurePosixPath(name).parts
     if not parts or name.startswith("/") or ".." in parts or "\\" in name or ":" in name:
-        raise ValueError(f"{folder}/asset.json: path {name!r} leaves the package; refused")
+        raise ValueError(f"{folder}/asset.json: path {name!r} points outside the package; refused")
     path = folder.joinpath(*parts)
     if not path.is_file():
         raise ValueError(f"{folder}/asset.json: {name!r} is missing")

@@ -65,7 +65,7 @@ def _unpack(path: Path, folder: Path) -> None:
         for name in archive.namelist():
             parts = PurePosixPath(name).parts
             if name.startswith("/") or ".." in parts or "\\" in name:
-                raise ValueError(f"{path}: member {name!r} leaves the package; refused")
+                raise ValueError(f"{path}: member {name!r} points outside the package; refused")
         if sum(member.file_size for member in members) > _MAX_ZIP_BYTES:
             raise ValueError(f"{path}: larger than 4 GB when unpacked")
         for member in members:  # zipfile reads no more than a member's stated size

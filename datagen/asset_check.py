@@ -80,7 +80,7 @@ class _Checker:
     def check_texture(self, field: str, texture: Texture) -> None:
         channels, fault = self.check_image(texture.texture)
         if fault:
-            expected = f"finite pixels, at most {MAX_IMAGE_SIDE_PX} per side"
+            expected = f"finite values and at most {MAX_IMAGE_SIDE_PX} pixels per side"
             self.error(field, f"{texture.texture!r}: {fault}", expected, "replace the image")
             return
         stored = {1: "rgb", 2: "rga", 3: "rgb"}.get(channels, "rgba")  # grey serves as every colour
@@ -129,7 +129,9 @@ class _Checker:
         elif faults.non_finite:
             self.error(name, f"{faults.non_finite} NaN or infinite vertices", "finite numbers")
         elif faults.bad_indices:
-            self.error(name, f"{faults.bad_indices} triangles with bad indices", "indices of its vertices")
+            self.error(
+                name, f"{faults.bad_indices} triangles with bad indices", "indices of the mesh's vertices"
+            )
         elif faults.degenerate == faults.total:
             self.error(name, "triangles of zero area only", "a mesh with a surface")
         if faults.is_unusable:
@@ -159,12 +161,12 @@ class _Checker:
         bounds = (("minimum_m", asset.minimum_m, lower), ("maximum_m", asset.maximum_m, upper))
         for field, value, actual in bounds:
             if np.abs(np.asarray(value) - actual).max() > tolerance:
-                self.error(field, value, f"the meshes' bound {np.round(actual, 4).tolist()}")
+                self.error(field, value, f"the bound of its meshes, {np.round(actual, 4).tolist()}")
         if abs(lower[2]) > tolerance:
             self.error("minimum_m[2]", round(float(lower[2]), 4), "0: an object rests on the plane z = 0")
         fault = size_fault(asset)
         if fault:
-            self.warn("minimum_m", fault, "a usual size for its category", "correct its unit")
+            self.warn("minimum_m", fault, "", "")
         if asset.scale_range[0] > asset.scale_range[1]:
             self.error("scale_range", asset.scale_range, "smallest first")
 

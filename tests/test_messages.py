@@ -115,7 +115,7 @@ def test_another_run_of_training_names_the_differing_fields(tmp_path: Path) -> N
     with pytest.raises(InputError) as caught:
         check_same_run(path, record.model_copy(update={"config": other, "data": (now,)}))
     assert {p.field for p in caught.value.problems} == {"config.seed", "data[0].index_sha256"}
-    assert "config.seed = 7; expected 0, as at its start" in str(caught.value)
+    assert "config.seed = 7; expected 0, as when the run started" in str(caught.value)
 
 
 def test_ids_are_not_truncated_in_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:

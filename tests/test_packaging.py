@@ -161,7 +161,7 @@ def test_the_doctor_names_a_command_per_fault(tmp_path: Path, monkeypatch: pytes
         finding = doctor.program_finding(title, *program)
         assert not finding.is_fine and not finding.is_required
         assert re.search(r"apt-get install|https://", finding.remedy), finding
-    for system, command in (("darwin", "brew install colmap"), ("win32", "COLMAP's own page")):
+    for system, command in (("darwin", "brew install colmap"), ("win32", "see the web site of COLMAP")):
         monkeypatch.setattr(doctor.sys, "platform", system)
         assert doctor.program_finding("COLMAP", *doctor.PROGRAMS["COLMAP"]).remedy.endswith(command)
 

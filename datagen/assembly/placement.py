@@ -240,8 +240,8 @@ def place_things(
             f"environment {room.asset.id}",
             "support_surfaces",
             f"kinds {', '.join(kinds) or 'none'}; the objects stand on {', '.join(wanted) or 'nothing'}",
-            "a surface on which some object of positive weight fits",
-            "add support surfaces, other objects, or set objects.count to [0, 0]",
+            "a surface on which an object of positive weight can stand",
+            "add support surfaces or other objects, or set objects.count to [0, 0]",
         )
     placer = Placer(room, recipe, rejections)
     chosen = [_draw_thing(libraries, draws) for _ in range(target)]

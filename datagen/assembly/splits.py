@@ -259,7 +259,7 @@ def check_recipe(recipe: Recipe, library: Library) -> None:
             "objects.library_weights",
             f"{len(library.paths)} folders",
             f"those of the recipe's library ({', '.join(recipe.library)}), in its order",
-            "open the library with all of them",
+            "name all of them with --library, in this order",
         )
     for package in (*pools.environments, *pools.objects):
         problems += degenerate_problems(package.as_kind(GeometryAsset), f"{package.path}/asset.json")
@@ -297,7 +297,7 @@ def _disjoint_problems(recipe: Recipe, pools: Pools, where: str) -> list[Problem
             problems.add(
                 "splits.disjoint",
                 f"no {kind} for the {split} split",
-                "a separate one for every split, which shares no file with that of another split",
+                "one for every split, which shares no file with those of other splits",
                 f"add one to the library, or set splits.disjoint to false or splits.{split} to 0",
             )
     return problems

@@ -47,7 +47,7 @@ def submit(
     if submission.job_ids:
         typer.echo(f"{submission.num_units} units submitted as jobs {', '.join(submission.job_ids)}")
     else:
-        why = "the scripts were only written" if submission.num_units else "all units are done"
+        why = "--dry-run only writes the scripts" if submission.num_units else "all units are done"
         typer.echo(f"{submission.num_units} units left, none submitted: {why}")
 
 

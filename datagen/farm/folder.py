@@ -216,23 +216,23 @@ class DatasetFolder:
                 raise input_error(self.root, "--out", "a folder with other files", expected, "choose another")
             return
         existing = self.read_record()
-        remedy = "choose another --out, or continue with the recipe, library and versions of its start"
+        remedy = "choose another --out, or continue with the same recipe, library and versions"
         if not self.plan_path.exists():
-            remedy = "choose another --out, or remove this folder, in which nothing is rendered yet"
+            remedy = "choose another --out, or remove this folder (nothing in it is rendered yet)"
         problems = Problems(self.root)
         if existing.recipe_sha256 != record.recipe_sha256:
             earlier = self.read_recipe().model_dump(mode="json")
             problems += [
-                Problem(self.root, f"recipe: {field}", now, f"{then}, as at its start", remedy)
+                Problem(self.root, f"recipe: {field}", now, f"{then}, as when the run started", remedy)
                 for field, then, now in differences(earlier, recipe.model_dump(mode="json"))
             ]
         if existing.library_sha256 != record.library_sha256:
-            expected = f"those at its start ({', '.join(existing.library_paths)})"
+            expected = f"those that the run started with ({', '.join(existing.library_paths)})"
             problems.add("library", "other assets", expected, remedy)
         for name in sorted({*existing.versions, *record.versions}):
             then_, now_ = existing.versions.get(name, "none"), record.versions.get(name, "none")
             if then_ != now_:
-                problems.add(f"version of {name}", now_, f"{then_}, as at its start", remedy)
+                problems.add(f"version of {name}", now_, f"{then_}, as when the run started", remedy)
         raise_problems(problems)
 
 

@@ -67,5 +67,7 @@ def check_space(folder: DatasetFolder, workers: int) -> None:
     if need.total_bytes > free:
         needed = f"about {need.total_bytes / 1e6:,.0f} MB for {need.num_units} units "
         needed += f"({need.working_bytes / 1e6:,.0f} MB of it temporarily)"
-        remedy = "free space, reduce the recipe, choose another --out, or try it with --no-space-check"
+        remedy = (
+            "free space, reduce the recipe, choose another --out, or skip this check with --no-space-check"
+        )
         raise input_error(folder.root, "free disk", f"{free / 1e6:,.0f} MB", needed, remedy)

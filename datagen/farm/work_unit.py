@@ -145,7 +145,7 @@ def _check_planned(run: UnitRun, configuration: Configuration) -> None:
         differing = {name for name, _ in set(run.versions.items()) ^ set(versions.items())}
         got = ", ".join(f"{name} {versions.get(name)}" for name in sorted(differing))
         planned = ", ".join(f"{name} {run.versions.get(name)}" for name in sorted(differing))
-        remedy = "use the environment that planned it, or plan again in another folder"
+        remedy = "use the environment in which it was planned, or plan again in another folder"
         raise input_error(run.folder.plan_path, "versions", got, f"{planned} as planned", remedy)
     key = unit_key(configuration, run.recipe, run.variant, run.versions)
     if key != run.unit.key:

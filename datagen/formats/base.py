@@ -127,11 +127,13 @@ def problems_of(where: str | Path | Callable[[Location], str], error: Validation
         expected = expected.removeprefix("expected ").removeprefix("input should be ")
         if entry["loc"] == ("format",) and entry["type"] == "literal_error":
             # a file of another kind, whose further errors are meaningless
-            return [Problem(position, "format", got, expected, "another kind of file; check the path")]
+            return [
+                Problem(position, "format", got, expected, "this is another kind of file; check the path")
+            ]
         if entry["type"] == "extra_forbidden":
             expected, remedy = "no such key", "correct its spelling or remove it"
         elif entry["type"] == "model_type":
-            expected, remedy = "keys with values", "check that this is the right file"
+            expected, remedy = "keys and values", "check that this is the right file"
         elif entry["type"] == "missing":
             expected, remedy = "this key to be present", "add it"
         else:

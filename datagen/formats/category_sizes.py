@@ -28,6 +28,6 @@ def size_fault(asset: ObjectAsset) -> str:
     if most >= limits[0] and least <= limits[1]:
         return ""
     return (
-        f"is {longest:.3g} m long; category {asset.category} has {limits[0]:g} to {limits[1]:g} m; "
+        f"is {longest:.3g} m long; category {asset.category} allows {limits[0]:g} to {limits[1]:g} m; "
         "correct its unit or its category"
     )

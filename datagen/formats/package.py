@@ -270,7 +270,7 @@ def _open_zip(path: Path, budget: Budget | None) -> Package:
         for field, name in referenced_files(asset):
             if prefix + name not in members:
                 got = f"{name!r} (no such file)"
-                problems.append(Problem(where, field, got, "a file in the package", "make it again"))
+                problems.append(Problem(where, field, got, "a file in the package", "make the package again"))
         raise_problems(problems)
     except BaseException as error:
         archive.close()

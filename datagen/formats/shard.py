@@ -159,7 +159,11 @@ class ShardReader:
                 where = f"{self.path}:{stem}"
                 record = parse_member(ViewRecord, data, where)
                 if stem not in images:
-                    raise InputError(Problem(where, "", "no EXR before this JSON", "one", _REMEDY))
+                    raise InputError(
+                        Problem(
+                            where, "", "JSON without an EXR before it", "the EXR of the view first", _REMEDY
+                        )
+                    )
                 yield View(record, decode_view(images.pop(stem), self.names, where=where))
 
 

@@ -20,7 +20,7 @@ from datagen.foundation.errors import InputError, Problem, input_error, raise_pr
 _OPENING = re.compile(r'"(?:[^"\\]|\\.)*"|[\[{\]}]', re.S)
 # exceptions that zipfile raises for damaged archives, found by fuzzing
 ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, RuntimeError, ValueError, OSError)
-_REMEDY = "do not use this file"
+_REMEDY = "get the archive from a trusted source, or pack it again as a plain zip"
 
 
 def parse_json(text: str, where: str | Path, budget: Budget, remedy: str = "export it again") -> Any:
@@ -103,7 +103,7 @@ def _fault_of(member: zipfile.ZipInfo) -> str:
     name, mode = member.filename, member.external_attr >> 16
     parts = name.replace("\\", "/").rstrip("/").split("/")
     if name.startswith("/") or ":" in name or "\\" in name or any(p in ("", ".", "..") for p in parts):
-        return "leaves the archive"
+        return "points outside the archive"
     if stat.S_ISLNK(mode):
         return "is a symbolic link"
     if stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR):

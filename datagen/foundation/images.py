@@ -35,7 +35,7 @@ def read_image(path: Path) -> NDArray[Any]:
     if suffix not in IMAGE_SUFFIXES:
         raise input_error(path, got=f"{suffix or 'no suffix'}", expected="a PNG, JPEG or EXR image")
     if not path.is_file():
-        raise input_error(path, "", "no such file", "an image", "restore it or correct its name")
+        raise input_error(path, "", "no such file", "an image", "restore it, or correct its name")
     return _read_exr(path) if suffix == ".exr" else read_ldr(path)
 
 
@@ -49,7 +49,8 @@ def read_radiance(path: Path) -> NDArray[np.float32]:
         raise input_error(path, got="not an EXR file", expected="a linear EXR image", remedy="convert it")
     pixels = read_image(path)
     if not np.isfinite(pixels).all() or (pixels < 0).any():
-        raise input_error(path, got="NaN, Inf or negative values", expected="radiance", remedy="repair it")
+        got = "NaN, Inf or negative values"
+        raise input_error(path, "", got, "finite radiance, at least 0", "repair it")
     return pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
 
 
@@ -85,8 +86,8 @@ def check_size(path: Path, size_px: tuple[int, int], pixel_bytes: int) -> None:
 
     width, height = size_px
     if max(width, height) > MAX_IMAGE_SIDE_PX:
-        expected = f"at most {MAX_IMAGE_SIDE_PX} per side"
-        raise input_error(path, "size", f"{width}x{height}", expected, "shrink it")
+        expected = f"at most {MAX_IMAGE_SIDE_PX} pixels per side"
+        raise input_error(path, "size", f"{width}x{height}", expected, "scale the image down")
     check_claim((width, height), pixel_bytes, path.stat().st_size, path)
 
 
@@ -175,5 +176,5 @@ def _read_exr(path: Path) -> NDArray[np.float32]:
     names = [name for name in known if name in channels] or list(channels)
     if not known and len(names) != 1:
         remedy = "save the image without layers"
-        raise input_error(path, "channels", ", ".join(sorted(names)) or "none", "R, G and B or Y", remedy)
+        raise input_error(path, "channels", ", ".join(sorted(names)) or "none", "R, G and B, or Y", remedy)
     return np.stack([channels[name].astype(np.float32) for name in names], axis=-1)

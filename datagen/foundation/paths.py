@@ -44,7 +44,7 @@ def fault_of(
         real = (folder / name).resolve()
         if not any(real.is_relative_to(root.resolve()) for root in roots):
             is_link = ".." not in name and not is_absolute
-            return None, f"a symbolic link that leads to {real}" if is_link else "leads out of the folder"
+            return None, f"a symbolic link that leads to {real}" if is_link else "outside the folder"
         mode = real.stat().st_mode if real.exists() else None
     except (OSError, RuntimeError, ValueError) as error:
         return None, getattr(error, "strerror", None) or str(error)[:_SHORT]

@@ -127,7 +127,9 @@ def places_of_parts(
     seeds = np.array([[row[3] for row in c.asset_from_camera[:3]] for c in cameras]).reshape(-1, 3)
     places = find_places(np.concatenate(triangles), owners, seats, seeds)
     if places.floor_m is None:
-        findings.note("annotations: no enclosed space found; give supports and camera regions in a file")
+        findings.note(
+            "annotations: no enclosed space found; give supports and camera regions with --annotations"
+        )
     return places
 
 

@@ -218,4 +218,4 @@ def note_mended(findings: Findings, num_mended: Sequence[int]) -> None:
     """Add a note on replaced normals; ``num_mended``: number of unusable normals in each mesh."""
     count, num = sum(num_mended), sum(n > 0 for n in num_mended)
     if count:
-        findings.note(f"{count} normals of {num} meshes replaced (missing or in the surface's plane)")
+        findings.note(f"{count} normals of {num} meshes replaced (missing or tangent to the surface)")

@@ -99,7 +99,7 @@ def import_asset(
     sources = find_sources(Path(path))
     if options.asset_id and (len(sources) > 1 or split):
         raise input_error(
-            path, "id", options.asset_id, "no id where several assets are imported", "leave --id out"
+            path, "id", options.asset_id, "no --id, since several assets are imported", "leave --id out"
         )
     if options.asset_id and options.asset_id != slug(options.asset_id):
         expected = f"lower-case letters, digits, '_' and '-', such as {slug(options.asset_id)!r}"
@@ -127,7 +127,13 @@ def _import_one(
         from datagen.importers.mitsuba_xml import import_mitsuba_scene
 
         if options.kind not in ("auto", "environment"):
-            raise input_error(source.path, "kind", options.kind, "environment: scenes become environments")
+            raise input_error(
+                source.path,
+                "kind",
+                options.kind,
+                "environment or auto: a Mitsuba scene becomes an environment",
+                "leave --kind out",
+            )
         return [import_mitsuba_scene(source.path, out_library, options)]
     if source.kind == "gltf":
         from datagen.importers.gltf import import_gltf
@@ -147,5 +153,11 @@ def _import_one(
         on_step = None if watch is None else partial(watch.step, source.path)
         return import_sweet_home(source.path, out_library, options, on_step)
     if options.kind not in ("auto", "material"):
-        raise input_error(source.path, "kind", options.kind, "material: texture folders become materials")
+        raise input_error(
+            source.path,
+            "kind",
+            options.kind,
+            "material or auto: a texture folder becomes a material",
+            "leave --kind out",
+        )
     return [import_material_folder(source.path, out_library, replace(options, kind="material"))]

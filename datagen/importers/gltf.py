@@ -326,7 +326,10 @@ class _GltfImporter(ImportJob):
                 continue
             if not 0 <= int(use.get("light", -1)) < len(entries):
                 raise input_error(
-                    self.file.path, f"node {placed.name!r}: light", use.get("light"), "an entry"
+                    self.file.path,
+                    f"node {placed.name!r}: light",
+                    use.get("light"),
+                    f"an index below {len(entries)} into lights",
                 )
             entry = entries[int(use["light"])]
             matrix = self.asset_from_source @ placed.scene_from_node

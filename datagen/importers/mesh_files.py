@@ -148,7 +148,7 @@ def _read_stl(path: Path, options: ImportOptions, findings: Findings, budget: Bu
         budget.spend("triangles", count, path.name)
         corners = np.frombuffer(data, _STL_RECORD, count, 84)["corners"]
     else:
-        fault = f"{len(data)} bytes without facets, {count} triangles by its header"
+        fault = f"{len(data)} bytes without facets; the header states {count} triangles"
         try:
             rows = [[float(word) for word in found.groups()] for found in _VERTEX.finditer(data)]
             corners = np.array(rows, np.float32).reshape(-1, 3, 3)
@@ -158,7 +158,7 @@ def _read_stl(path: Path, options: ImportOptions, findings: Findings, budget: Bu
         if not len(corners):
             raise input_error(path, got=fault, expected="an intact STL file", remedy="export it again")
     if not np.isfinite(corners).all():
-        raise input_error(path, got="NaN or infinite vertices", expected="finite numbers")
+        raise input_error(path, got="NaN or infinite vertices", expected="finite numbers", remedy="repair it")
     faces = np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
     return MeshSource([("", _smoothed(Mesh(corners.reshape(-1, 3), faces), budget))], {})
 

@@ -51,7 +51,10 @@ class NodeValues:
             number = fresnel.NAMED_IOR.get(value.lower()) if isinstance(value, str) else float(value)
             if number is None or not (math.isfinite(number) and number > 0):
                 self.problems.add(
-                    f"{node.where}: {key}", repr(value), "a number or one of Mitsuba's names", "use a number"
+                    f"{node.where}: {key}",
+                    repr(value),
+                    "a number above 0, or a material name known to Mitsuba",
+                    "use a number",
                 )
                 number = 1.5
             sides.append(number)

@@ -74,7 +74,9 @@ def read_obj_model(data: bytes, where: str | Path, budget: Budget) -> ObjModel:
     if not len(indices):
         raise input_error(where, got="no faces", expected="a model with a surface", remedy="export it again")
     if not np.isfinite(positions[indices[:, 0]]).all():
-        raise input_error(where, got="NaN or infinite vertices", expected="finite numbers")
+        raise input_error(
+            where, got="NaN or infinite vertices", expected="finite numbers", remedy="repair it"
+        )
     counts = np.array(found.counts)
     triangles, polygon = _triangulated(positions[indices[:, 0]], counts, budget)
     corner = indices[triangles]  # (M, 3, 3): position, uv, normal

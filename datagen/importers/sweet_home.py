@@ -135,7 +135,7 @@ def _kept(path: Path, origin: str, options: ImportOptions) -> ImportedAsset:
     with open_package(path) as package:
         source = package.asset.provenance
         if not (options.source or source.source).startswith(origin):
-            expected = "a new path; the package there comes from elsewhere"
+            expected = "a new path, since the package there has another source"
             raise input_error(path, got="exists already", expected=expected, remedy="remove it")
         return ImportedAsset(package.id, package.asset.kind, path, package.sha256, source.license)
 

@@ -249,7 +249,7 @@ def _piece(entry: dict[str, str], label: str, path: Path) -> Piece:
             rotation = np.full((3, 3), np.nan)
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=0.01):
             got = repr(entry["modelRotation"])
-            problems.add("modelRotation", got, "nine numbers of a rotation", "correct it")
+            problems.add("modelRotation", got, "the nine numbers of a rotation matrix", "correct it")
     raise_problems(problems)
     return Piece(
         id=label,

@@ -137,7 +137,7 @@ def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
         return [Fault("exposure", where, f"flat: luminance is {middle:.4g} everywhere", expected)]
     clipped = float((view["beauty"].max(axis=-1) >= _HALF_MAX).mean())
     if clipped > MAX_SHARE_CLIPPED:
-        got = f"overexposed: {clipped:.1%} of the pixels have the largest half float"
+        got = f"overexposed: {clipped:.1%} of the pixels are clipped to the largest half float"
         return [Fault("exposure", where, got, f"at most {MAX_SHARE_CLIPPED:.0%}")]
     if middle * exposure > OVEREXPOSED:
         got = f"overexposed: half of the frame is above {middle * exposure:.3g} at the other views' exposure"
@@ -202,5 +202,5 @@ def check_roughness(
         expected = textured.get(name, 0.0)
         is_shown = count >= MIN_ROUGHNESS_PIXELS and expected > 10 * MIN_ROUGHNESS_RANGE
         if is_shown and high - low < MIN_ROUGHNESS_RANGE:
-            got = f"roughness of {name} is {low:.4g} on all of {count} pixels"
+            got = f"roughness of {name} is {low:.4g} on all {count} pixels"
             yield Fault("roughness", where, got, f"values that vary by {expected:.2g}")

@@ -52,7 +52,7 @@ def library(
     folders = resolve_library_paths(paths or ["bundled"], Path.cwd())
     for path in folders:
         if path.is_dir() and not find_packages(path):
-            remedy = "name another folder, or add packages by `datagen import` or the Blender add-on"
+            remedy = "name another folder, or add packages with `datagen import` or the Blender add-on"
             raise input_error(path, "", "no asset packages", "a library folder", remedy)
     if check:
         with Bars("packages", is_transient=True) as bars:

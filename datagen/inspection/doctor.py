@@ -100,10 +100,10 @@ def examine() -> list[Finding]:
     findings += [variant, _tried("LLVM", _llvm, variant.value == CPU_VARIANT), gpu_finding()]
     findings.append(Finding("processors", str(os.cpu_count()), True, False))
     if all(f.is_fine for f in findings if f.is_required):
-        findings.append(_probe("rendering", _RENDER_PROBE, f"read the message; {REMEDY}"))
+        findings.append(_probe("rendering", _RENDER_PROBE, f"see the message; if it concerns LLVM, {REMEDY}"))
         findings.append(_probe("denoiser", _DENOISER_PROBE, _AGAIN))
     free_gb = shutil.disk_usage(Path.cwd()).free / 1e9
-    remedy = f"free {MIN_FREE_GB} GB, or choose another disk by --out"
+    remedy = f"free {MIN_FREE_GB} GB, or choose another disk with --out"
     return [*findings, Finding("free disk", f"{free_gb:.1f} GB", free_gb >= MIN_FREE_GB, True, remedy)]
 
 
@@ -139,7 +139,7 @@ def checkpoint_finding() -> Finding:
     package = importlib.util.find_spec("model")
     folders = [Path(p) / "checkpoints" for p in (package.submodule_search_locations or ())] if package else []
     lacking = [name for name in CHECKPOINTS if not any((folder / name).is_file() for folder in folders)]
-    value = f"without {', '.join(lacking)}" if lacking else ", ".join(CHECKPOINTS)
+    value = f"missing: {', '.join(lacking)}" if lacking else ", ".join(CHECKPOINTS)
     return Finding("bundled checkpoints", value, not lacking, False, _AGAIN)
 
 
@@ -172,7 +172,7 @@ def _installing(title: str, debian: str) -> str:
     elsewhere = {"Blender": "https://www.blender.org/download/lts/", "PBS": "https://openpbs.org"}
     if debian and sys.platform not in commands:
         return f"apt-get install {debian}"
-    return commands.get(sys.platform, {}).get(title) or elsewhere.get(title, f"{title}'s own page")
+    return commands.get(sys.platform, {}).get(title) or elsewhere.get(title, f"see the web site of {title}")
 
 
 def _package(name: str, is_required: bool, remedy: str) -> Finding:
@@ -190,7 +190,7 @@ def gpu_finding() -> Finding:
     found = "; ".join(_output_of(command).strip().splitlines()) or "NVIDIA driver found"
     if not uses_optix(CUDA_VARIANT):
         found += f"; OIDN denoises on the CPU, as {OPTIX_WEIGHTS} is missing"
-        return Finding("GPU", found, False, False, "containers: NVIDIA_DRIVER_CAPABILITIES=all")
+        return Finding("GPU", found, False, False, "in a container, set NVIDIA_DRIVER_CAPABILITIES=all")
     return Finding("GPU", found, True, False)
 
 

@@ -130,7 +130,7 @@ def print_estimate(result: Estimate, workers: int, free_bytes: float, as_json: b
     print(
         f"time    {duration(result.total_seconds)} on this machine, "
         f"{result.seconds_per_view:.2f} s per view, {duration(result.seconds_per_configuration)} per "
-        f"configuration ({hours:.1f} machine hours, which a farm divides)"
+        f"configuration ({hours:.1f} machine hours, which a farm shares among its nodes)"
     )
     print(
         f"disk    {result.total_bytes / 1e9:.2f} GB, {result.bytes_per_view / 1e6:.2f} MB per view, and "

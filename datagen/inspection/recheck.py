@@ -70,11 +70,13 @@ class Rechecked:
     def faults(self) -> Iterable[Fault]:
         """Yield a warning for each deviation above its limit by more than :data:`SURE` standard errors."""
         if self.recorded is not None and self.rel_mse - SURE * self.rel_mse_error > MAX_RATIO * self.recorded:
-            got = f"relMSE {self.rel_mse:.4f} +- {self.rel_mse_error:.4f}, {self.recorded:.4f} is recorded"
-            yield Fault("recheck", self.where, got, f"at most {MAX_RATIO:g} times the record", "warning")
+            got = f"relMSE {self.rel_mse:.4f} +- {self.rel_mse_error:.4f} (recorded: {self.recorded:.4f})"
+            yield Fault(
+                "recheck", self.where, got, f"at most {MAX_RATIO:g} times the recorded value", "warning"
+            )
         if abs(self.bias) - SURE * self.bias_error > MAX_BIAS:
-            got = f"{100 * self.bias:+.1f} +- {100 * self.bias_error:.1f} % of the light"
-            expected = f"at most {100 * MAX_BIAS:g} % from plain paths"
+            got = f"mean luminance {100 * self.bias:+.1f} +- {100 * self.bias_error:.1f} % from plain paths"
+            expected = f"at most {100 * MAX_BIAS:g} %"
             yield Fault("recheck", self.where, got, expected, "warning")
 
 

@@ -56,7 +56,9 @@ def main(
     names = [package.name for package in packages]
     if len(set(names)) < len(names):
         remedy = "render one at a time, each to its own --out"
-        raise input_error("packages", "", ", ".join(names), "different names, as of folders in --out", remedy)
+        raise input_error(
+            "packages", "", ", ".join(names), "different names, since each names a folder in --out", remedy
+        )
     for package in packages:
         for path in render_package(package, out / package.name, samples, max_depth, denoise):
             typer.echo(path)

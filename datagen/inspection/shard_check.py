@@ -121,7 +121,9 @@ class _ShardVerifier:
                 return
             self.records[record.name] = record
             if image is None:
-                self.add("member", where, "a record without an image before it", "both")
+                self.add(
+                    "member", where, "a record without an image before it", "each image before its record"
+                )
             else:
                 self.check_view(record, image, f"{self.where}:{stem}")
         else:

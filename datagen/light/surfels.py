@@ -174,7 +174,7 @@ def _extent(views: Sequence[TracedView]) -> tuple[NDArray[np.float64], float, ND
 
 
 def _nothing_shown(got: str) -> InputError:
-    expected = "a surface in many pixels"
+    expected = "a surface that covers many pixels"
     return input_error("photographs", "", got, expected, "check the unit and the frame of the mesh")
 
 

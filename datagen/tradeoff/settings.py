@@ -127,7 +127,7 @@ def planned_settings(base: Setting, sweeps: tuple[str, ...], with_factorial: boo
         name, _, listed = text.partition("=")
         if name not in SWEEPS:
             expected = f"one of {', '.join(SWEEPS)}"
-            problems.append(Problem("--sweep", "", repr(text), expected, "NAME, or NAME=VALUE,VALUE"))
+            problems.append(Problem("--sweep", "", repr(text), expected, "write NAME, or NAME=VALUE,VALUE"))
             continue
         for value in SWEEPS[name] if not listed else listed.split(","):
             try:

@@ -178,7 +178,7 @@ def _check(out: Path, options: SweepOptions) -> None:
     """Raise :class:`InputError` with all faults of the output folder and the options."""
     problems = output_problems(out, (out / "references").is_dir(), "one of an earlier sweep")
     if min(options.size) < MIN_SIDE_PX or max(options.size) > MAX_SIDE_PX:
-        got, expected = "{} x {}".format(*options.size), f"sides of {MIN_SIDE_PX} ... {MAX_SIDE_PX}"
+        got, expected = "{} x {}".format(*options.size), f"sides of {MIN_SIDE_PX} ... {MAX_SIDE_PX} pixels"
         problems.append(Problem("--size", "", got, expected, "correct it"))
     if options.reference_samples > MAX_SAMPLES:
         got, expected = str(options.reference_samples), f"at most {MAX_SAMPLES}"

@@ -53,10 +53,10 @@ def check_same_run(path: Path, record: RunRecord) -> None:
     earlier = read_json(RunRecord, path)
     if earlier == record:
         return
-    remedy = "resume with the inputs of its start, or choose another --out"
+    remedy = "resume with the same inputs, or choose another --out"
     raise InputError(
         *(
-            Problem(path, field, now, f"{then}, as at its start", remedy)
+            Problem(path, field, now, f"{then}, as when the run started", remedy)
             for field, then, now in differences(
                 earlier.model_dump(mode="json"), record.model_dump(mode="json")
             )

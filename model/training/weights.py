@@ -73,13 +73,13 @@ class _Marker:
 
 def _empty_array(kind: Any, shape: Any, code: Any) -> np.ndarray:
     if kind is not _Marker or shape != (0,):
-        raise pickle.UnpicklingError("only plain numpy arrays are admitted")
+        raise pickle.UnpicklingError("only plain numpy arrays are allowed")
     return np.empty(0, dtype=np.float32)
 
 
 def _float_dtype(name: Any, *_: Any) -> np.dtype:
     if name not in ("f4", "f8", "<f4", "<f8"):
-        raise pickle.UnpicklingError(f"dtype {name!r} is not admitted")
+        raise pickle.UnpicklingError(f"dtype {name!r} is not allowed")
     return np.dtype(name)
 
 
@@ -96,7 +96,7 @@ class ArrayUnpickler(pickle.Unpickler):
         try:
             return admitted[(module, name)]
         except KeyError:
-            raise pickle.UnpicklingError(f"{module}.{name} is not admitted") from None
+            raise pickle.UnpicklingError(f"{module}.{name} is not allowed") from None
 
 
 def load_array_pickle(data: bytes, where: str | Path) -> dict[str, Any]:

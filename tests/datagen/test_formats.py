@@ -73,7 +73,7 @@ def test_exr_images_are_never_read_as_their_alpha(tmp_path: Path) -> None:
         return read_image(tmp_path / "image.exr")[0, 0].tolist()
 
     assert read("Y", "A") == [0, 1] and read(*"RGBA") == [0, 0, 0, 1] and read("V") == [0]
-    with pytest.raises(InputError, match=r"channels = Layer\.A, Layer\.R; expected R, G and B or Y"):
+    with pytest.raises(InputError, match=r"channels = Layer\.A, Layer\.R; expected R, G and B, or Y"):
         read("Layer.R", "Layer.A")
 
 

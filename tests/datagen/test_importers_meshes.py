@@ -106,7 +106,7 @@ def test_names_in_an_obj_stay_in_its_folder(tmp_path: Path) -> None:
     outside.mkdir()
     Image.new("RGB", (8, 8), (9, 9, 9)).save(outside / "oak.png")
     path = write_obj(tmp_path / "sofa", "../elsewhere/oak.png")
-    with pytest.raises(InputError, match=r"sofa.obj: oak: map_Kd = .*leads out of the folder"):
+    with pytest.raises(InputError, match=r"sofa.obj: oak: map_Kd = .*outside the folder"):
         import_asset(path, tmp_path / "library", OPTIONS)
     allowed = ImportOptions(license="CC0-1.0", allowed=(outside,))
     assert import_asset(path, tmp_path / "library", allowed)
@@ -155,7 +155,7 @@ def test_stl_as_text_and_round_shapes_are_imported(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "data", "message"),
     [
-        ("cut.stl", bytes(80) + b"\x09\0\0\0" + bytes(99), "without facets, 9 triangles by its header"),
+        ("cut.stl", bytes(80) + b"\x09\0\0\0" + bytes(99), "without facets; the header states 9 triangles"),
         ("odd.stl", b"solid x\nvertex 1 2 x\n", "could not convert"),
         ("nan.stl", b"solid x\n" + b"vertex nan 0 0\n" * 3, "NaN or infinite"),
         ("points.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"

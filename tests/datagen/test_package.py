@@ -220,7 +220,7 @@ def special(kind: int) -> zipfile.ZipInfo:
 
 @pytest.mark.parametrize("name", ["../evil", "/etc/evil", "a/../../evil", "c:evil", "a//b"])
 def test_zip_members_that_leave_the_package_are_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InputError, match="leaves the archive"):
+    with pytest.raises(InputError, match="points outside the archive"):
         open_package(hostile_zip(tmp_path / "z.zip", name))
 
 

@@ -122,7 +122,9 @@ def test_a_folder_of_an_older_plan_revision_is_refused(
     record = json.loads((root / "dataset.json").read_bytes())
     record["versions"]["plan_revision"] = "0"
     (root / "dataset.json").write_text(json.dumps(record))
-    with pytest.raises(InputError, match=r"version of plan_revision = \d+; expected 0, as at its start"):
+    with pytest.raises(
+        InputError, match=r"version of plan_revision = \d+; expected 0, as when the run started"
+    ):
         create_plan(_recipe(), library, root)
 
 

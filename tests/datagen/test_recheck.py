@@ -74,7 +74,7 @@ def test_stated_standard_errors_match_repetitions(record: ViewRecord) -> None:
         (0.1, 1.0, []),  # 2.5 times the recorded error
         (0.16, 1.0, ["relMSE"]),  # 6 times the recorded error
         (0.05, 0.96, []),
-        (0.05, 1.07, ["% of the light"]),
+        (0.05, 1.07, ["% from plain paths"]),
     ],
 )
 def test_faults_are_named_and_no_others(

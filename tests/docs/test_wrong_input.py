@@ -88,7 +88,7 @@ WRONG = [
     # recipes
     ("datagen plan nope.yaml --out x", ("nope.yaml: no such file", *CHECK_PATH)),
     ("datagen plan empty --out x", ("empty: a folder", "name a file")),
-    ("datagen plan text.txt --out x", ("text.txt", "keys with values", "right file")),
+    ("datagen plan text.txt --out x", ("text.txt", "keys and values", "right file")),
     ("datagen plan noise.yaml --out x", ("noise.yaml: not text", *CHECK_PATH)),
     ("datagen plan broken.yaml --out x", ("broken.yaml:2:1: ", "valid YAML")),
     ("datagen plan typo.yaml --out x", ("vews", "correct its spelling", "views; expected this key")),

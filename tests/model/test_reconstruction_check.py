@@ -130,7 +130,8 @@ def test_a_wrong_focal_length_is_reported_once() -> None:
         capture = with_view(capture, index, camera=longer)
     report = check_capture(capture)
     (warning,) = report.all_warnings
-    assert warning.startswith("the mesh looks 1.0") and "too large in most views; the focal" in warning
+    assert warning.startswith("the mesh looks too large by a factor of 1.0")
+    assert "in most views; the focal" in warning
 
 
 def test_a_mesh_off_by_two_centimetres_is_measured() -> None:
@@ -228,7 +229,7 @@ def test_a_better_unit_is_found() -> None:
     mesh = capture.geometry.mesh
     positions = (100 * (mesh.positions + shift)).astype(np.float32)
     report = check_capture(with_mesh(capture, replace(mesh, positions=positions, normals=None)))
-    assert report.better == "a unit of the mesh 0.01 times as long"
+    assert report.better == "a mesh unit 0.01 times as long"
 
 
 def test_shifts_are_measured_exactly() -> None:

@@ -62,7 +62,7 @@ def unread_problems(where: str | Path, files: Sequence[Path]) -> list[Problem]:
             remedy = "pip install 'scene-materials[heic]', or convert them to PNG or JPEG"
         elif suffix in RAW_SUFFIXES:
             kind, expected = f"{kind}, a raw photograph", "the package rawpy, which reads it"
-            remedy = "pip install 'scene-materials[raw]', or develop all without curves to TIFF or PNG"
+            remedy = "pip install 'scene-materials[raw]', or develop all to TIFF or PNG without a tone curve"
         else:
             expected, remedy = _READ, "convert them to PNG"
         problems.append(Problem(where, field, kind, expected, remedy))

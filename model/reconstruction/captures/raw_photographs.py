@@ -37,7 +37,7 @@ def read_raw(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
         with rawpy.imread(str(path)) as raw:
             if raw.raw_type != rawpy.RawType.Flat:
                 got, expected = "no mosaic of sensor values", "a raw photograph with one value per pixel"
-                raise input_error(path, "", got, expected, "develop it to 16-bit TIFF without curves")
+                raise input_error(path, "", got, expected, "develop it to 16-bit TIFF without a tone curve")
             stored = np.asarray(raw.raw_image_visible, np.float32)
             pattern = np.asarray(raw.raw_colors_visible)
             black = np.asarray(raw.black_level_per_channel, np.float32)
@@ -58,7 +58,9 @@ def read_raw(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
     clipped = cv2.dilate(at_limit.astype(np.uint8), np.ones((_REACH_PX, _REACH_PX), np.uint8)) > 0
     if clipped.shape != pixels.shape[:2]:
         got = f"{pixels.shape[1]}x{pixels.shape[0]} of {clipped.shape[1]}x{clipped.shape[0]} sensor values"
-        raise input_error(path, "size", got, "a pixel per value", "develop it to 16-bit TIFF without curves")
+        raise input_error(
+            path, "size", got, "one pixel per sensor value", "develop it to 16-bit TIFF without a tone curve"
+        )
     return np.ascontiguousarray(np.rot90(pixels, turns)), np.ascontiguousarray(np.rot90(clipped, turns))
 
 
@@ -91,4 +93,6 @@ def raw_exposure(path: Path) -> float | None:
 
 def _unreadable(path: Path, error: Exception) -> Exception:
     got = f"corrupt data or a camera unknown to libraw ({str(error)[:200]})"
-    return input_error(path, "", got, "a readable raw photograph", "develop it to 16-bit TIFF without curves")
+    return input_error(
+        path, "", got, "a readable raw photograph", "develop it to 16-bit TIFF without a tone curve"
+    )

@@ -94,7 +94,7 @@ def _try_other_frames(report: CheckReport, capture: Capture, edge_views: Sequenc
     trials: list[tuple[str, NDArray[np.float64]]] = [
         (f"--mesh-up {axis}", z_up_from(axis) @ in_file) for axis in AXES if axis != capture.mesh_up
     ]
-    trials += [(f"a unit of the mesh {unit:g} times as long", unit * np.eye(3)) for unit in _UNITS]
+    trials += [(f"a mesh unit {unit:g} times as long", unit * np.eye(3)) for unit in _UNITS]
     for remedy, linear in trials:
         fit = _fit_of(capture, linear, chosen)
         if fit > best:

@@ -130,15 +130,16 @@ def judge(report: CheckReport, edge_views: Sequence[EdgeView]) -> None:
     report.fit = float(np.median([edges.at_zero for edges in with_edges])) if with_edges else 0.0
     if not with_edges:
         report.warnings.append(
-            "no view shows enough edges of the mesh to compare them with the photographs; look at the sheets"
+            "no view shows enough edges of the mesh to compare them with the photographs; "
+            "look at the contact sheets"
         )
         return
     zoom = _common_zoom(report)
     if zoom is not None:
         size, factor = ("small", zoom) if zoom > 1 else ("large", 1 / zoom)
         report.warnings.append(
-            f"the mesh looks {factor:.3f} times too {size} in most views; the focal length, or the mesh's "
-            "scale in the cameras' frame, is off by this factor; correct it and check again"
+            f"the mesh looks too {size} by a factor of {factor:.3f} in most views; the focal length, or the "
+            "mesh's scale in the cameras' frame, is off by this factor; correct it and check again"
         )
         return  # a wrong scale shifts the edges in all views, so shifts do not indicate other errors
     pairs = [
@@ -160,7 +161,7 @@ def judge(report: CheckReport, edge_views: Sequence[EdgeView]) -> None:
         )
     if report.scale != 1:
         report.warnings.append(
-            f"the mesh seems to be {report.scale:.3f} times too large for the cameras' frame in {names}; "
+            f"the mesh seems to be scaled by {report.scale:.3f} relative to the cameras in {names}; "
             f"scale it by {1 / report.scale:.4f} about the cameras' mean position"
         )
     left_px = {view.name: view.edges.peak_px for view, _ in pairs if view.edges is not None}

@@ -40,7 +40,8 @@ class LightWords:
     insert: Annotated[
         tuple[str, ...],
         typer.Option(
-            help="Object to insert, position (m) and yaw: PACKAGE@X,Y,Z[,DEGREES], repeatable; PACKAGE may be bundled:ID."
+            help="Object to insert, position (m), yaw: PACKAGE@X,Y,Z[,DEGREES], repeatable; PACKAGE may be "
+            "bundled:ID."
         ),
     ] = ()
     samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel.")] = 16
@@ -81,8 +82,8 @@ def render(
 ) -> None:
     """Render an asset from its cameras or as an animation.
 
-    Options replace the asset's lights and insert objects. An animation follows a path through the room and loops
-    seamlessly.
+    Options replace the asset's lights and insert objects. An animation follows a path through the room and
+    loops seamlessly.
 
     Example: materials render room/asset --out renders --sky 1,1,1 --insert bundled:mug@1,2,0.8
     """
