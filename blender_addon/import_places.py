@@ -199,8 +199,8 @@ class Places:
             has = (render.resolution_x, render.resolution_y, render.pixel_aspect_y / render.pixel_aspect_x)
             if not np.allclose(has, (width, height, aspect), rtol=1e-4):
                 self.remarks.append(
-                    f"camera {camera['name']!r} has {width} x {height} pixels, each {aspect:.4g} times as "
-                    "high as wide; the scene differs: set both in the scene's output properties"
+                    f"camera {camera['name']!r} has {width} x {height} pixels with an aspect (height / "
+                    f"width) of {aspect:.4g}, unlike the scene; set both in the scene's output properties"
                 )
 
     def _camera(self, camera: dict[str, Any], aspect: float) -> bpy.types.Object:

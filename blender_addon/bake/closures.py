@@ -60,7 +60,7 @@ _SHEEN = _LeftOut(
 _ANISOTROPY = _LeftOut(
     ("Anisotropic", "Anisotropy"),
     "anisotropy",
-    "the highlight is round, of the same area: the geometric mean of the slope widths is roughness^2",
+    "the highlight is round, with the same area: roughness^2 is the geometric mean of the slope widths",
 )
 _DIFFUSE_ROUGHNESS = _LeftOut(
     ("Diffuse Roughness", "Roughness"),

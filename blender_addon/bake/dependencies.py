@@ -227,7 +227,7 @@ class DependencyWalk:
                 self._report(ERROR, node, message, "find the missing file or pack it")
                 return
         if node.image.source in ("SEQUENCE", "MOVIE"):
-            self._report(NOTE, node, "only the current frame of the moving image is exported")
+            self._report(NOTE, node, "only the current frame of the movie or image sequence is exported")
         if node.projection != "FLAT":
             self._result.mesh = True
         frame = image_frame(stack, node)
@@ -266,7 +266,9 @@ class DependencyWalk:
         if name in _GEOMETRY_ON_INSTANCE:
             self._result.world = True
         elif name == "Incoming":
-            self._report(ERROR, node, "Incoming changes with the view", "use a value of the surface")
+            self._report(
+                ERROR, node, "Incoming changes with the view", "use a value that depends on the surface only"
+            )
         elif name == "Backfacing":
             self._report(APPROXIMATION, node, "back faces get the front's material")
         else:

@@ -158,7 +158,7 @@ def _area(
 ) -> Light | None:
     data = thing.data
     if data.spread < math.pi - 1e-4:
-        message = f"an area light of spread {math.degrees(data.spread):.0f} degrees has no counterpart"
+        message = f"an area light with a spread of {math.degrees(data.spread):.0f} degrees cannot be exported"
         problems.add(ERROR, message, "set Spread to 180 degrees", object=thing.name)
         return None
     size_u = data.size

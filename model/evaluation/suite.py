@@ -222,7 +222,9 @@ def read_suite(path: Path, checkpoint: Path | None = None) -> Suite:
             bundled = checkpoint.resolve() if checkpoint is not None else bundled_checkpoint()
             weights = bundled if method.checkpoint == BUNDLED else (folder / method.checkpoint).resolve()
             if method.checkpoint == BUNDLED and not weights.is_file():
-                problems.append(Problem("--checkpoint", "", str(weights), "a checkpoint (.safetensors)"))
+                problems.append(
+                    Problem("--checkpoint", "", str(weights), "a checkpoint (.safetensors)", "check the path")
+                )
             methods.append(method.model_copy(update={"checkpoint": str(weights)}))
         elif isinstance(method, MapsMethod):
             maps = existing(f"{field}.folder", method.folder, "a folder of maps")

@@ -24,7 +24,7 @@ def _atlas_side(text: str) -> int | Literal["auto"]:
     if text == "auto":
         return "auto"
     if not text.isdigit():
-        raise typer.BadParameter(f"{text!r}; expected auto or a number")
+        raise typer.BadParameter(f"{text!r}; expected auto or a number of texels")
     return int(text)
 
 

@@ -97,18 +97,22 @@ def _problems_of(
     if (height, width) != (camera.height_px, camera.width_px):
         complain("size", f"{width} x {height}", f"{camera.width_px} x {camera.height_px} as in its camera")
     if size_px is not None and (width, height) != size_px:
-        complain("size", f"{width} x {height}", f"{size_px[0]} x {size_px[1]} as the rest of the data")
+        complain("size", f"{width} x {height}", f"{size_px[0]} x {size_px[1]} as in the rest of the data")
     if min(height, width) < min_side_px:
         complain("size", f"{width} x {height}", f"at least the crop, {min_side_px} px per side")
     if not record.exposure > 0:
-        complain("exposure", str(record.exposure), "a positive factor")
+        complain("exposure", str(record.exposure), "a factor above 0")
     for name, values in buffers.items():
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             complain(name, f"{int((~np.isfinite(values)).sum())} values NaN or Inf", "finite values")
         elif name in (*MATERIAL_MAPS, "surface_mask", "known_share"):
             low, high = float(values.min()), float(values.max())
             if low < -_RANGE_SLACK or high > 1.0 + _RANGE_SLACK:
-                complain(name, f"{low:.4g} ... {high:.4g}", "values in [0, 1], linear, perceptual roughness")
+                complain(
+                    name,
+                    f"{low:.4g} ... {high:.4g}",
+                    "values in [0, 1] (albedos linear, roughness perceptual)",
+                )
         elif name in ("beauty", *COLOR_STATISTICS, *LIGHT_BUFFERS, "depth_z_m") and values.min() < 0:
             complain(name, f"{float(values.min()):.4g}", "values >= 0")
     if not problems:
@@ -119,7 +123,9 @@ def _problems_of(
         lacks_depth = (buffers["depth_z_m"][..., 0][solid] <= 0).mean() if solid.any() else 0.0
         if lacks_depth > 0.05:
             complain(
-                "depth_z_m", f"0 on {100 * lacks_depth:.0f} % of the surface", "depth along the axis, metres"
+                "depth_z_m",
+                f"0 on {100 * lacks_depth:.0f} % of the surface",
+                "depth along the optical axis, in metres",
             )
     return problems
 
@@ -178,7 +184,7 @@ class BatchPlan(Sampler[list[int]]):
         step = batch_size * accumulation * num_ranks
         self.steps_per_epoch = order.epoch_length // step
         if self.steps_per_epoch == 0:
-            expected = f"at least {step}, those of one step"
+            expected = f"at least {step}, the crops of one step"
             remedy = "use more views, more crops per view, or a smaller batch"
             raise input_error("training data", "crops", order.epoch_length, expected, remedy)
 

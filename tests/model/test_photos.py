@@ -163,7 +163,7 @@ def test_without_the_program_the_commands_are_printed(tmp_path: Path) -> None:
         "apt-get install colmap",
         "feature_extractor",
         "mapper",
-        "# then the same command again",
+        "# then run the same command again",
     ):
         assert text in refused.output
     assert "materials photos" not in refused.output  # it would lack the options

@@ -132,5 +132,7 @@ def _bytes_of(path: Path) -> NDArray[np.uint8] | None:
         return None
     pixels = read_image(path)
     if pixels.dtype != np.uint8:
-        raise input_error(path, "", str(pixels.dtype), "8 bits", "write it with `materials infer`")
+        raise input_error(
+            path, "", str(pixels.dtype), "8 bits per channel", "write it with `materials infer`"
+        )
     return pixels

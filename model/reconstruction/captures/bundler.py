@@ -54,7 +54,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
         if not np.isfinite(table).all():
             raise ValueError("NaN or infinite values")
     except (ValueError, IndexError, OverflowError) as error:
-        expected = "the number of cameras and 5 rows of 3 numbers per camera"
+        expected = "the number of cameras, then 5 rows of 3 numbers per camera"
         raise input_error(path, "", str(error)[:200], expected, EXPORT_AGAIN) from None
     if len(names) != num_cameras:
         raise input_error(path, "images", len(names), f"{num_cameras} in the list", EXPORT_AGAIN)

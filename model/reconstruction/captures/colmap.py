@@ -31,7 +31,7 @@ MODELS = (
 _SUPPORTED = {name for name, _ in MODELS} - {"FOV", "THIN_PRISM_FISHEYE"}
 _REMEDY = "export the model again (colmap model_converter)"
 _UNDISTORT = "undistort the images (colmap image_undistorter), or calibrate with one of these"
-_UNSUPPORTED = "one of PINHOLE, RADIAL, OPENCV, OPENCV_FISHEYE, FULL_OPENCV and their simple forms"
+_UNSUPPORTED = "PINHOLE, RADIAL, OPENCV, FULL_OPENCV, OPENCV_FISHEYE, RADIAL_FISHEYE or a SIMPLE_ one"
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def _read_text_cameras(path: Path, budget: Budget) -> dict[int, _Lens]:
         except (ValueError, IndexError):
             raise input_error(path, "line", line[:80], "ID MODEL WIDTH HEIGHT PARAMETERS", _REMEDY) from None
         if counts.get(lens.model, len(parameters)) != len(parameters) or min(lens.width, lens.height) <= 0:
-            expected = "the parameters of its model and a size"
+            expected = "a size, and as many parameters as its model has"
             raise input_error(path, f"camera {words[0]}", line[:80], expected, _REMEDY)
         lenses[lens_id] = lens
     return lenses

@@ -53,7 +53,7 @@ def level_rotation(cameras: Sequence[Camera]) -> NDArray[np.float64]:
     variance, directions = np.linalg.eigh(along_rows.T @ along_rows / len(cameras))
     up = directions[:, 0] if variance[1] > _MIN_TURN else mean_up
     if abs(up @ mean_up) <= _MIN_UPRIGHT * np.linalg.norm(up):
-        expected = "photographs held upright, of which the axis is estimated"
+        expected = "cameras held upright, from whose poses the axis is estimated"
         raise input_error("--up", "cameras", "no common up direction", expected, "name the axis with --up")
     up = up * np.sign(up @ mean_up) / np.linalg.norm(up)
     level = along_rows - np.outer(along_rows @ up, up)
@@ -77,7 +77,10 @@ def estimated_up(cameras: Sequence[Camera]) -> tuple[Axis, str]:
     axis: Axis = AXES[at if mean[at] > 0 else at + 3]
     text = ", ".join(f"{v:.2f}" for v in mean)
     if length >= _MIN_AGREEMENT and abs(mean[at]) / length >= np.cos(_MAX_TILT_RAD):
-        return axis, f"up: {axis}, the axis nearest to the cameras' mean up direction ({text}); else use --up"
+        return (
+            axis,
+            f"up: {axis}, the axis nearest to the cameras' mean up direction ({text}); set another with --up",
+        )
     return "z", f"up: z by default; no axis is near the cameras' mean up direction ({text}); set it with --up"
 
 

@@ -22,7 +22,7 @@ def _metres(text: str) -> float | None:
     try:
         return None if text == "auto" else float(text)
     except ValueError:
-        raise typer.BadParameter(f"{text!r}; expected auto or metres") from None
+        raise typer.BadParameter(f"{text!r}; expected auto or a number of metres") from None
 
 
 @dataclass(frozen=True)

@@ -121,4 +121,4 @@ def _read_heic(path: Path) -> NDArray[np.uint8]:
             return np.asarray(image.convert("RGB"))
     except Exception as error:  # libheif may raise any exception
         got = f"corrupt data ({str(error)[:200]})"
-        raise input_error(path, "", got, "a readable HEIC", "replace the file") from None
+        raise input_error(path, "", got, "a readable HEIC file", "replace the file") from None

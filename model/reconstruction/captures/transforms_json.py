@@ -86,7 +86,7 @@ def _posed(values: dict[str, Any], path: Path, field: str, finders: Sequence[Ima
 def _image_path(values: dict[str, Any], path: Path, field: str, finders: Sequence[ImageFinder]) -> Path:
     name = values.get("file_path")
     if not isinstance(name, str) or not name:
-        raise input_error(path, f"{field}.file_path", name, "the image's path", "export it again")
+        raise input_error(path, f"{field}.file_path", name, "the path of the image", "export it again")
     for finder in finders:  # also tries suffixes, which the original NeRF files omit
         image = finder.find(name)
         if image is not None:

@@ -31,7 +31,7 @@ MAX_IMAGE_PX = 2400
 """Maximum longer side of photographs for feature extraction, in pixels; larger ones are scaled down."""
 MAX_POINT_ERROR_PX = 2.0
 """Maximum mean reprojection error, in pixels, of sparse points from which the mesh is made."""
-_OVERLAP = "take more photographs that overlap, sharp and large, from different positions; see the log"
+_OVERLAP = "take more sharp, overlapping photographs from different positions; see the log"
 _TAIL = 400  # characters of the log in an error
 _RENAMED = {"--SiftExtraction.": "--FeatureExtraction.", "--SiftMatching.": "--FeatureMatching."}
 """Prefixes of options up to COLMAP 3.12, and the ones that replace them for most options since 3.13."""
@@ -129,7 +129,7 @@ class ColmapRun:
                 *(shlex.join(command) for step in steps for command in step.commands),
                 f"mkdir -p {shlex.quote(str(self.model.parent))}",
                 f"cp -r {shlex.quote(str(found / '0'))} {largest}    # the largest model",
-                "# then the same command again",
+                "# then run the same command again",
             ]
         )
 

@@ -69,8 +69,8 @@ def photographs_in(folder: Path) -> list[Path]:
     if unread:
         raise InputError(*unread_problems(folder, unread))
     if len(found) < MIN_PHOTOGRAPHS:
-        expected = f"{MIN_PHOTOGRAPHS} photographs or more that overlap, or a capture with cameras"
-        raise input_error(folder, "photographs", len(found), expected, "name their folder")
+        expected = f"at least {MIN_PHOTOGRAPHS} overlapping photographs, or a capture with cameras"
+        raise input_error(folder, "photographs", len(found), expected, "check the path, or add photographs")
     return found
 
 
@@ -95,7 +95,7 @@ def make_asset(
     run = ColmapRun(options.program, folder, photographs, out / "colmap", echo)
     if not given and not run.has_cameras and shutil.which(options.program) is None:
         echo(run.commands())
-        remedy = "install it and give the same command again, or run the commands above"
+        remedy = "install it and run the same command again, or run the commands above first"
         raise InputError(Problem(options.program, "", "no such program", "COLMAP 3.7 or later", remedy))
     own_mesh = options.reading.mesh
     content = _content(given) if given else _of_mesh(load_mesh(own_mesh)) if own_mesh else []

@@ -90,7 +90,13 @@ class Predictor:
         confidence = checkpoint.confidence
         if self.has_confidence and confidence is None:
             expected = "a checkpoint with confidence networks"
-            raise input_error("infer", "weights", "confidence", expected, "use other weights or train them")
+            raise input_error(
+                "infer",
+                "weights",
+                "confidence",
+                expected,
+                "use other --weights, or train confidence networks",
+            )
         self._confidence = confidence.to(device) if confidence is not None else None
         self._solver = checkpoint.card.solver
 

@@ -228,7 +228,7 @@ def environment_of(path: Path) -> EnvironmentAsset:
         asset = package.asset
     if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
         expected = "an environment with cameras"
-        raise input_error(path, "kind", asset.kind, expected, "give an output of `materials infer`")
+        raise input_error(path, "kind", asset.kind, expected, "name an output of `materials infer`")
     return asset
 
 
