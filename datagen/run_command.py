@@ -193,7 +193,7 @@ def plan_recipe(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
 
     opened = _open_library(recipe, base)
     with Bars("configurations") as bars:
-        created = create_plan(recipe, opened, out, workers, partial(bars.tell, "assembling"), tell)
+        created = create_plan(recipe, opened, out, workers, partial(bars.tell, "plan"), tell)
     typer.echo(f"{out}: {len(created.units)} units, {sum(u.num_views for u in created.units)} views planned")
     summary = plan_summary(read_configurations(out, created))
     if summary:
@@ -324,7 +324,7 @@ def estimate(
     recipe_path, recipe = RecipeChanges(library).load(recipe_path)
     opened = _open_library(recipe, recipe_path.parent)
     with Bars("samples") as bars:
-        result = run_estimate(recipe, opened, partial(bars.tell, "timing samples"))
+        result = run_estimate(recipe, opened, partial(bars.tell, "time samples"))
     existing = next(p for p in (out.absolute(), *out.absolute().parents) if p.exists())
     has_space = print_estimate(result, workers, shutil.disk_usage(existing).free, as_json)
     raise typer.Exit(0 if has_space else 1)

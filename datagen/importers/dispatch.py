@@ -54,7 +54,7 @@ def find_sources(path: Path) -> list[Source]:
         "a Mitsuba scene (.xml), a glTF file (.gltf, .glb), a mesh (.obj, .ply, .stl), a file for Blender "
         "(.fbx, .usd, .blend), a Sweet Home 3D library (.sh3f), a PBR texture folder, or a folder of these"
     )
-    got = "a folder with nothing to import" if path.is_dir() else "a file of a type that is not known"
+    got = "a folder with nothing to import" if path.is_dir() else "a file of unknown type"
     raise input_error(path, got=got, expected=expected, remedy="check the path")
 
 
@@ -64,7 +64,7 @@ def _is_folder(path: Path, child: Path) -> bool:
         return False
     _, fault = fault_of(path, child.name, is_folder=True)
     if fault:
-        raise input_error(child, "", fault, f"a folder in {path}", "import it by its own path")
+        raise input_error(child, "", fault, f"a folder in {path}", "name this folder in an import of its own")
     return True
 
 

@@ -287,9 +287,7 @@ class _PieceImport(ImportJob):
         scale[~has_extent] = np.median(scale[has_extent])
         ratio = float(scale[has_extent].max() / scale[has_extent].min())
         if ratio > _STRETCH:
-            self.findings.note(
-                f"{piece.name}: stretched to the catalogue's size, axes unequally ({ratio:.2f} : 1)"
-            )
+            self.findings.note(f"{piece.name}: stretched unevenly to the catalogue's size ({ratio:.2f} : 1)")
         return Z_UP_FROM_Y_UP @ affine(np.diag(scale) @ rotation)
 
     def _supports(self, category: str) -> tuple[SupportKind, ...]:

@@ -129,9 +129,9 @@ def _check_split(index: DatasetIndex, where: str) -> list[Fault]:
     used: dict[str, set[str]] = {}
     for record in index.shards:
         used.setdefault(record.split, set()).update(record.assets)
-    expected = "splits without a common asset (splits.disjoint)"
+    expected = "splits that share no asset (splits.disjoint)"
     return [
-        Fault("split", where, f"{asset} is in the {one} and in the {other} split", expected)
+        Fault("split", where, f"{asset} is in both the {one} and the {other} split", expected)
         for one, other in itertools.combinations(sorted(used), 2)
         for asset in sorted(used[one] & used[other])
     ]

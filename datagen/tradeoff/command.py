@@ -74,12 +74,12 @@ def _run(sweep: Sweep) -> None:
     total = sweep.missing_views() + len(sweep.pending())
     done = 0
     with Bars("steps") as bars:
-        bars.tell("measuring", 0, total)
+        bars.tell("measure", 0, total)
 
         def report(what: str, steps: int) -> None:
             nonlocal done
             done += steps
-            bars.tell("measuring", done, total, what)
+            bars.tell("measure", done, total, what)
 
         try:
             sweep.run(report)

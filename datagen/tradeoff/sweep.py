@@ -46,10 +46,10 @@ class SweepOptions:
     configurations: Annotated[
         tuple[int, ...], typer.Option("--configuration", help="Index of a configuration, repeatable.")
     ] = (0,)
-    size: Annotated[tuple[int, int], typer.Option(help="Resolution, pixels.")] = (160, 96)
+    size: Annotated[tuple[int, int], typer.Option(help="Resolution: WIDTH HEIGHT in pixels.")] = (160, 96)
     views: Annotated[int, typer.Option(min=1, help="Views per configuration, evenly spaced.")] = 4
     reference_samples: Annotated[
-        int, typer.Option(min=16, help="Paths per pixel in each of the reference's two images.")
+        int, typer.Option(min=16, help="Paths per pixel in each of the two reference images.")
     ] = 512
     sweeps: Annotated[
         tuple[str, ...], typer.Option("--sweep", help="Field to vary: NAME or NAME=VALUE,VALUE, repeatable.")

@@ -202,8 +202,10 @@ def read_suite(path: Path, checkpoint: Path | None = None) -> Suite:
         source = existing(f"scenes[{index}].source", scene.source, "a scene")
         changes: dict[str, Any] = {"source": source}
         if is_package(source) and (scene.unit_m != 1.0 or scene.annotations is not None):
-            got, expected = "an asset package", "a Mitsuba file, with unit_m or annotations"
-            problems.append(Problem(path, f"scenes[{index}].source", got, expected, "leave them out"))
+            got, expected = "an asset package", "a Mitsuba file, since unit_m or annotations is set"
+            problems.append(
+                Problem(path, f"scenes[{index}].source", got, expected, "leave unit_m and annotations out")
+            )
         if scene.annotations is not None:
             changes["annotations"] = existing(
                 f"scenes[{index}].annotations", scene.annotations, "a file of annotations"

@@ -123,8 +123,8 @@ class Trainer:
             stack.enter_context(log)
         bars = stack.enter_context(Bars("steps", is_quiet=not self.show_progress))
         total = sum(self.context.num_steps(index) for index in range(len(self.config.phases)))
-        bars.tell("training", self.progress.total_step, total)
-        return log, lambda note: bars.tell("training", self.progress.total_step, total, note)
+        bars.tell("train", self.progress.total_step, total)
+        return log, lambda note: bars.tell("train", self.progress.total_step, total, note)
 
     def _phase(self, index: int, restored: dict[str, Tensor]) -> Phase:
         """Phase ``index``, with the ``restored`` state if some of its steps are done."""

@@ -133,7 +133,7 @@ def test_without_llvm_one_message_appears_before_work_starts(inputs: Path, tmp_p
     verb, *options = words.get(verb, [verb, "--out", out])
     result = _datagen(verb, inputs / "small.yaml", "--library", inputs / "library", *options, **NO_LLVM)
     assert result.returncode == 2 and not result.stdout
-    (sentence,) = [line for line in result.stderr.splitlines() if line and "timing samples" not in line]
+    (sentence,) = [line for line in result.stderr.splitlines() if line and "time samples" not in line]
     assert sentence.startswith("LLVM: DRJIT_LIBLLVM_PATH = /nothing/libLLVM.so, no loadable LLVM")
     assert sentence.endswith("its libLLVM shared library") and not out.exists()
 

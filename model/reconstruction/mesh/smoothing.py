@@ -196,6 +196,7 @@ def mended_mesh(capture: Capture, run: Run) -> Capture:
         run.report.num_triangles = len(mesh.faces)
         run.report.notes.append(
             f"the mesh was mended: triangles deviate by {after:.1f} instead of {before:.1f} degrees, "
-            f"vertices moved by {median_mm:.1f} mm (median), {num_filled} holes were filled; --no-mend-mesh skips this"
+            f"vertices moved by {median_mm:.1f} mm (median), {num_filled} holes were filled; --no-mend-mesh"
+            " leaves it unchanged"
         )
         return replace(capture, geometry=CaptureGeometry(mesh, geometry.parts))
