@@ -64,7 +64,7 @@ def _is_folder(path: Path, child: Path) -> bool:
         return False
     _, fault = fault_of(path, child.name, is_folder=True)
     if fault:
-        raise input_error(child, "", fault, f"a folder in {path}", "name this folder in an import of its own")
+        raise input_error(child, "", fault, f"a folder in {path}", "import this folder separately")
     return True
 
 

@@ -190,7 +190,7 @@ def test_unstable_objects_are_refused(tmp_path: Path, room: Room) -> None:
     assert rejections["placement.unstable"] > 0 and not rejections["placed"]
     (thing,) = things_of(Library([tmp_path]))
     assert not thing.can_stand(0.002)
-    with pytest.raises(InputError, match="a surface on which some object"):
+    with pytest.raises(InputError, match="a surface on which an object of positive weight"):
         place_things(room, [thing], ObjectRecipe(), (1,), Counter())
 
 

@@ -474,7 +474,7 @@ def test_sources_are_found_and_unknown_ones_refused(tmp_path: Path, shared_data:
         find_sources(tmp_path / "notes.txt")
     with pytest.raises(InputError, match="no such file or folder"):
         find_sources(tmp_path / "absent")
-    with pytest.raises(InputError, match="no id where several"):
+    with pytest.raises(InputError, match="no --id, since several"):
         import_asset(shared_data / "textures" / "ambientcg", tmp_path, ImportOptions(asset_id="x"))
     with pytest.raises(InputError, match="lower-case"):
         import_asset(

@@ -468,7 +468,7 @@ def test_an_interrupted_import_resumes(tmp_path: Path) -> None:
     # another package of that name is neither kept nor overwritten
     other = Sh3f().piece("box0", box_obj((1, 1, 1), "matt"))
     other.head = other.head.replace("Test#Models", "Other#Models")
-    with pytest.raises(InputError, match="comes from elsewhere"):
+    with pytest.raises(InputError, match="has another source"):
         import_sweet_home(other.write(tmp_path / "other.sh3f"), library)
 
 

@@ -119,7 +119,7 @@ WRONG = [
     ("datagen library text.txt --check --jsn", ("No such option: --jsn", "--json")),
     ("datagen import nope --library x", ("nope: no such file or folder", *CHECK_PATH)),
     ("datagen import empty --library x", ("a folder with nothing to import", "Mitsuba scene")),
-    ("datagen import text.txt --library x", ("not known", "glTF")),
+    ("datagen import text.txt --library x", ("unknown type", "glTF")),
     ("datagen import noise.glb --library x --license CC0-1.0", ("noise.glb", "expected a glTF file")),
     ("datagen import noise.xml --library x --license CC0-1.0", ("noise.xml", "Mitsuba scene")),
     ("datagen import cup.glb --library x", ("license = nothing", "--license")),

@@ -124,7 +124,7 @@ def test_from_photographs_to_a_turntable_in_one_command(tmp_path: Path) -> None:
     (truth / "fail-mapper").touch()
     failed = CliRunner().invoke(app, words)
     text = str(failed.exception) + failed.output
-    assert failed.exit_code != 0 and "no luck with mapper" in text and "photographs that overlap" in text
+    assert failed.exit_code != 0 and "no luck with mapper" in text and "overlapping photographs" in text
     (truth / "fail-mapper").unlink()
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
