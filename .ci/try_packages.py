@@ -89,7 +89,7 @@ def try_dataset(environment: Environment) -> None:
 
 
 def try_inference(environment: Environment) -> None:
-    """Infer materials of a configuration's views with the bundled checkpoint."""
+    """Infer materials from a rendered shard with the bundled checkpoint, and render them."""
     assert environment.run("materials", "--version").startswith("scene-materials ")
     shard = min((environment.folder / "smoke" / "shards").rglob("*.tar"))
     environment.run("materials", "infer", shard, "--out", "asset", "--atlas", "512")

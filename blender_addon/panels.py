@@ -17,7 +17,7 @@ _MATERIAL_TAGS = (("sm_class", "other"), ("sm_replaceable_by", "wood, metal"), (
 
 
 class SCENE_MATERIALS_UL_problems(bpy.types.UIList):
-    """List of problems: an icon of the severity, and the message."""
+    """List of problems: a severity icon and the message."""
 
     def draw_item(
         self,

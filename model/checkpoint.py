@@ -43,8 +43,8 @@ class DataRecord(StrictModel):
 class CheckpointCard(StrictModel):
     """Metadata of a checkpoint: architecture and provenance.
 
-    ``loss`` names the terms of the loss and its perceptual distance. The checkpoint was saved at ``step`` of
-    the run in ``phase``, with the validation ``metrics``; ``training`` is the run's resolved configuration.
+    ``loss`` names the loss's terms and its perceptual distance. The checkpoint was saved in ``phase``, after
+    ``step`` steps of the run, with the validation ``metrics``; ``training`` is the resolved configuration.
     """
 
     format: Literal["scene-materials/checkpoint"] = "scene-materials/checkpoint"

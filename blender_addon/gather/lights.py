@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Converts Blender's lights to dictionaries of the asset format, in radiometric units.
 
-With the power P = energy * colour * 2^exposure of the light: radiant intensity I = P / (4 pi) of a point with
-radius 0 and of a spot; radiance L = P / (4 pi^2 r^2) of a sphere with radius r, and L = P / (pi A) of an area
-A, which emits along -Z; irradiance E = P of a sun. Without Normalize, L = P / pi for spheres and areas.
+A light of power P = energy * colour * 2^exposure has radiant intensity I = P / (4 pi) if it is a spot or a
+point of radius 0, radiance L = P / (4 pi^2 r^2) if a sphere of radius r, L = P / (pi A) along -Z if an area
+light of area A, and irradiance E = P if a sun. Without Normalize, L = P / pi for spheres and areas.
 Conversion to metres leaves radiance unchanged and multiplies intensity by (metres per unit)^2.
 """
 

@@ -105,7 +105,7 @@ class Placer:
     def _draw_pose(
         self, thing: Thing, surface: SupportSurface, scale: float, draws: Draws
     ) -> tuple[float, Floats] | None:
-        """Draw a yaw and position (2,) with the footprint inside the surface; None if it is too large."""
+        """Draw a yaw and position (2,) with the footprint inside the surface; None if it does not fit."""
         height = float(thing.geometry.maximum_m[2]) * scale
         likes_wall = surface.kind == "floor" and height > _WALL_HEIGHT_M
         at_wall = draws.chance(_WALL_PROBABILITY) and likes_wall

@@ -163,7 +163,7 @@ def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Lig
 
 
 def located_light(light: Light, asset_id: str) -> Light:
-    """Return the light, with its image, if any, attributed to the package ``asset_id``."""
+    """Return the light; an image without a package is attributed to the package ``asset_id``."""
     if isinstance(light, EnvironmentLight) and light.image is not None and light.asset is None:
         return light.model_copy(update={"asset": asset_id})
     return light

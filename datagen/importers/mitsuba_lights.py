@@ -177,7 +177,7 @@ def emitter_shape_light(
     """Return the light of an emitting rectangle, disk or sphere; None if a light cannot represent the shape.
 
     A rectangle or disk emits along its local +Z (-Z with ``flip_normals``). The edges are swapped if
-    necessary so that edge_u x edge_v has this direction, also if ``asset_from_shape`` (4, 4) is a reflection.
+    necessary so that edge_u x edge_v has this direction, even if ``asset_from_shape`` (4, 4) is a reflection.
     """
     linear, center = asset_from_shape[:3, :3], asset_from_shape[:3, 3]
     if node.type in ("rectangle", "disk"):

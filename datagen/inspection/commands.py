@@ -188,7 +188,7 @@ def report(
 
 
 def write_sheets(folder: Path) -> None:
-    """Write the missing contact sheets of a dataset, and print their number."""
+    """Write missing and outdated contact sheets of a dataset, and print their number."""
     from datagen.inspection.contact_sheet import write_dataset_sheets
 
     with Bars("configurations") as bars:

@@ -116,7 +116,7 @@ def partners_of(index: int, count: int) -> list[int]:
 def check_reprojection(views: Sequence[Geometry], where: str) -> tuple[list[Fault], int]:
     """Return the faults of views that disagree with others, and the number of views that could be compared.
 
-    The view that exceeds its limits most is removed with its pairs, until all others are within the limits.
+    The view furthest beyond its limits is dropped repeatedly until all others are within theirs.
     """
     samples = [sample_points(view, index) for index, view in enumerate(views)]
     pairs = [

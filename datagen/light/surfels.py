@@ -240,8 +240,8 @@ def surfels_around(place, side, low, cell_m, shape, surfel, near, share):
 
 @compiled
 def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
-    """Return the cell side (P,) of each pixel, -1 for none, its weight (P,), and whether it is at a depth
-    edge (P,); ``clipped`` is (P,) or empty.
+    """Return keys (P,) of the pixels' cell sides (see :func:`cell_of`), -1 for none, their weights (P,), and
+    a mask (P,) of depth edges; ``clipped`` is (P,) or empty.
     """
     width, height = int(camera[16]), int(camera[17])
     cell = np.full(width * height, -1, np.int32)

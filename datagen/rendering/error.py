@@ -43,8 +43,8 @@ def relative_mse_of_parts(
 
     For each of the six pairs (r1, r2), (x - r1)(x - r2) is divided by the squared mean of the other two.
     Dividing by the mean of r1 and r2 would overweight pixels that are dark by chance in both; references with
-    relative noise s would then add 3/2 s^4. The standard error assumes noise that is independent between
-    pixels, of any distribution: it is large if two references have a firefly in the same pixel.
+    relative noise s would then add 3/2 s^4. The standard error assumes only that noise is independent
+    between pixels; two references with a firefly in the same pixel make it large.
     """
     x, references = image.astype(np.float64), [part.astype(np.float64) for part in parts]
     scale = exposure_for(np.mean(references, axis=0)) if exposed else 1.0

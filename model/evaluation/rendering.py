@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rendering of the views of a scenery (configuration and packages) to EXR files; a rerun resumes."""
+"""Renders views of a :class:`Scenery` (configuration and packages) to EXR files; a rerun resumes."""
 
 from __future__ import annotations
 

@@ -170,7 +170,7 @@ class FoundLights:
         return rows
 
     def described_holes(self) -> list[dict[str, Any]]:
-        """The mesh's holes as rows of the form of :meth:`described`, with the kind ``hole``."""
+        """The mesh's holes as rows like those of :meth:`described`, with the kind ``hole``."""
         return [_row("hole", h.slot, h.place_m, h.area_m2, h.radiance) for h in self.holes]
 
 

@@ -305,7 +305,7 @@ def tube(
 
 
 def mirrored(half: Sequence[Point]) -> list[Point]:
-    """Return the points ``half`` followed, in reverse order, by their mirror images in the plane x = 0."""
+    """Return ``half``, then, reversed, its mirror images in x = 0; points on the plane are not repeated."""
     return [*half, *[(-x, y, z) for x, y, z in half[::-1] if x]]
 
 

@@ -247,7 +247,7 @@ def effort(folder: DatasetFolder, index: DatasetIndex, price_per_hour: float) ->
 def findings(
     report: Report | None, index: DatasetIndex, gathered: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Faults of the verification by view, most errors first, and the views with extreme values."""
+    """Faults found by verification, by view, most errors first; and views with extreme values."""
     stand_out = _extreme_views(gathered)
     if report is None:
         return {"is_checked": False, "checks": [], "views": [], "notes": [], "stand_out": stand_out}

@@ -3,7 +3,7 @@
 
 The samples of a pixel are the first points of a (0, 2)-sequence. The first 2^k of them, for any k, are
 stratified over the unit square, and later passes continue the sequence. Every pair of dimensions of a path
-uses this sequence with another shuffle and scramble (padding). Scrambles are hashes (Laine and Karras 2011;
+uses this sequence with its own shuffle and scramble (padding). Scrambles are hashes (Laine and Karras 2011;
 Burley, Practical Hash-Based Owen Scrambling, 2020, with its constants); the second dimension is computed by
 the Pascal matrix in five steps (Ahmed, An Implementation Algorithm of 2D Sobol Sequence Fast, Elegant, and
 Compact, 2024). With Owen scrambling, every single point is uniformly distributed, so estimates are unbiased.

@@ -237,8 +237,8 @@ def _solved_surfels(
 def surfel_albedo(
     surfels: Surfels, diffuse: NDArray, specular: NDArray, specular_albedo: NDArray, is_metal: NDArray
 ) -> NDArray[np.float32]:
-    """Compute the diffuse albedo (N, 3) of surfels, 0 for metals: the median over observations of (radiance -
-    ``specular``) / ((1 - ``specular_albedo``) ``diffuse``), with ``specular`` (M, 3) and the others (N, 3).
+    """Compute D (N, 3) of surfels, 0 for metals: the weighted median over observations of (radiance -
+    ``specular``) / ((1 - S) ``diffuse``); ``specular`` is (M, 3), S and the shading ``diffuse`` (N, 3).
     """
     observations = surfels.observations
     owner = surfels.surfel_of_observation()

@@ -20,9 +20,9 @@ STEP = 4
 
 
 def networks(most: int) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Build Batcher's sorting networks for lists of k * STEP values, k = 0, 1, ..., up to at least ``most``.
+    """Build Batcher's sorting networks for lists of 0, STEP, 2 STEP, ... values, to at least ``most``.
 
-    Returns the comparisons (C, 2) of all networks as pairs of rows, and offsets (K + 1,) of each network.
+    Returns the comparisons (C, 2) of all networks as pairs of rows, and offsets (K + 1,) of the K networks.
     """
     powers = [1 << bits for bits in range((most + STEP).bit_length() + 1)]
     full = {power: sorting_network(power) for power in powers}

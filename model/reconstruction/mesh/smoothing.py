@@ -92,7 +92,7 @@ def _faces_around(faces: Ints, num_vertices: int) -> tuple[Ints, Ints]:
 
 
 def _in_blocks(pool: ThreadPoolExecutor, function: Any, values: Floats, arguments: tuple[Any, ...]) -> Floats:
-    """Compute new ``values`` (N, 3) by ``function``, which reads all old ones, in blocks of rows."""
+    """Compute new ``values`` (N, 3) in parallel blocks of rows; ``function`` reads all old values."""
     found = np.empty_like(values)
     starts = range(0, len(values), _BLOCK)
     list(pool.map(lambda s: function(s, min(s + _BLOCK, len(values)), values, found, *arguments), starts))

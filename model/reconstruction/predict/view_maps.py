@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Predicts the maps of a capture's views and stores each view's, so that interrupted runs can resume."""
+"""Predicts maps of a capture's views and stores them view by view, so that interrupted runs can resume."""
 
 from __future__ import annotations
 
