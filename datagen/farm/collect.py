@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Gathers the manifests of a dataset folder into its index, and removes files that killed attempts left.
+"""Gathers the manifests of a dataset folder into its index, and removes files left by killed processes.
 
 A crash between publication of a shard and its manifest leaves a tar file that no manifest names; an earlier
 crash leaves a partial file. If two processes run a unit, one may write views after the other's commit.

@@ -36,7 +36,7 @@ class Engine(Protocol):
     program: str
 
     def check(self, root: Path, options: SlurmOptions) -> None:
-        """Raise :class:`InputError` for options that the queue's scripts cannot express."""
+        """Raise :class:`InputError` for options or a folder that the queue's scripts cannot express."""
 
     def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:
         """Scripts that run ``datagen run FOLDER --unit INDEX`` for each of the ascending ``indices``.

@@ -60,7 +60,7 @@ class RunSummary:
 
 Event = tuple[str, str, str, int, int]
 """(kind, unit id, stage, done, total), with kind "progress" or "done", or (kind, unit id, reason, attempts,
-maximum number of attempts), with kind "retry" or "set_aside".
+maximum number of attempts), with kind "retry" or "set_aside" (recorded as failed).
 """
 
 

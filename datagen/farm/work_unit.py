@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 
 class Interrupted(Exception):
-    """A signal stopped the unit; all finished views are on disk."""
+    """Raised when a signal has stopped the unit; all finished views are on disk."""
 
 
 @dataclass

@@ -87,7 +87,7 @@ def worker_main(connection: Connection, root: str, threads: int, stages: tuple[s
 
 
 def _outcome_of(error: Exception, root: Path) -> tuple[str, str]:
-    """Outcome of an attempt that raised ``error``, full (disk) or failed, and the reason."""
+    """Return the outcome of a unit that raised ``error``, "full" (the disk) or "failed", and the reason."""
     if isinstance(error, OSError) and error.errno in DISK_FULL:
         return "full", str(Problem(error.filename or root, "", (error.strerror or str(error)).lower()))
     return "failed", f"{type(error).__name__}: {error}"
@@ -132,7 +132,7 @@ def _run_one(
     report: Callable[[str, int, int], None],
     should_stop: Callable[[], bool],
 ) -> tuple[str, str]:
-    """Run a unit; return done, already, interrupted, failed or full (disk), and the reason of a failure."""
+    """Run a unit; return "done", "already", "interrupted", "failed" or "full" (the disk), and the reason."""
     from datagen.farm.work_unit import Interrupted, UnitRun, run_unit
 
     try:

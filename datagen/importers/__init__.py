@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Importers of files of other programs as asset packages; ``dispatch.import_asset`` is the entry point."""
+"""Importers convert files of other programs to asset packages; entry point: ``dispatch.import_asset``."""

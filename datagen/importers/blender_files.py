@@ -25,7 +25,7 @@ _MARK = "to_gltf: "
 
 
 def uses_draco(path: Path) -> bool:
-    """Return whether a glTF file (up to ``MAX_TEXT_BYTES``) uses Draco and Blender's decoder is installed."""
+    """True if a glTF file, of up to ``MAX_TEXT_BYTES``, uses Draco, and Blender's decoder is installed."""
     if importlib.util.find_spec("bpy") is None or path.stat().st_size > MAX_TEXT_BYTES:
         return False
     with path.open("rb") as file:
@@ -35,7 +35,7 @@ def uses_draco(path: Path) -> bool:
 def import_by_blender(
     path: Path, out_library: Path, options: ImportOptions, *, split: bool
 ) -> list[ImportedAsset]:
-    """Convert a file that Blender reads to packages below ``out_library``, and return their records.
+    """Convert a file by way of Blender to packages below ``out_library``, and return their records.
 
     Images outside the file's folder and ``options.allowed`` are omitted. Raises :class:`InputError` if
     Blender's module is not installed or cannot read the file, or if :func:`import_gltf` refuses the result.

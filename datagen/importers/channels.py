@@ -2,7 +2,7 @@
 """Material channels of an import: constants and unprocessed images are kept, computed values are baked.
 
 A *value* is a constant (float or colour), an :class:`ImageSource` (an unchanged image) or a
-:class:`BakedSource` (computed pixels).
+:class:`BakedSource` (computed pixels). :class:`ImageCache` memoises decoded images and computes with values.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ def num_pixels(file: Path) -> int:
 
 
 def read_any_image(file: Path) -> NDArray:
-    """Read an image, also BMP, TGA, TIFF or HDR, to (H, W, C). Raises :class:`InputError` if unreadable."""
+    """Read an image, even BMP, TGA, TIFF or HDR, as (H, W, C). Raises :class:`InputError` if unreadable."""
     if file.suffix.lower() in IMAGE_SUFFIXES:
         return read_image(file)
     import cv2

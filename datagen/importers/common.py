@@ -45,10 +45,10 @@ _SOURCE = re.compile(r"original file may be obtained here:\s*(?P<source>\S+)", r
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Options of an import. Values for empty strings are detected or derived.
+    """Options of an import. Empty strings stand for values that are detected or derived.
 
     ``dielectric``: ``refuse`` transparent materials, or ``replace`` them: flat panes and thin dielectrics are
-    removed, solid bodies become opal glass; ``dielectric_as`` decides for single materials. ``missing``:
+    removed, solid bodies become opal glass; ``dielectric_as`` decides by material. ``missing``:
     ``refuse`` missing files, or ``replace`` them with grey or omit them. ``unit_scale``: metres per unit of
     the file; None: 1, or a plausible value for formats without a unit. ``defines``: values of a Mitsuba
     scene's variables. ``allowed``: folders, in addition to the source's, from which files may be read.
@@ -86,7 +86,7 @@ class ImportOptions:
 class ImportJob:
     """State of the import of the source ``where``: options, budget, findings, problems and textures.
 
-    ``findings`` collect approximations and notes; like ``budget``, an enclosing import may pass its own.
+    ``findings`` collect approximations and notes. An enclosing import may pass its findings and budget.
     """
 
     def __init__(

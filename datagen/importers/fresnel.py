@@ -37,7 +37,7 @@ def dielectric_f0(ior: float) -> float:
 def conductor_fresnel(cos_i: NDArray, eta: NDArray, k: NDArray) -> NDArray[np.float64]:
     """Return a conductor's unpolarised reflectance (N, C) in air at cosines of incidence ``cos_i`` (N,).
 
-    ``eta`` and ``k`` (C,): real and imaginary index of refraction per channel.
+    ``eta`` and ``k`` (C,): real and imaginary part of the index of refraction per channel.
     """
     cosine = np.asarray(cos_i, dtype=np.float64)[:, None]
     index = np.asarray(eta, dtype=np.float64) + 1j * np.asarray(k, dtype=np.float64)

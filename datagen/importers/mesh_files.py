@@ -3,7 +3,7 @@
 
 These formats state neither unit nor up axis. Y is up in OBJ, Z in PLY and STL, unless ``--up`` is given. The
 unit is ``--unit-scale`` or the first of metre, centimetre, millimetre and inch with which the size is
-plausible; any but the metre is reported in a note.
+plausible; a unit other than the metre is reported in a note.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ class ObjModel:
 
 @dataclass
 class _Statements:
-    """Statements of an OBJ file; ``counts``, ``smoothing`` and ``owners`` have one entry per polygon."""
+    """Statements of an OBJ file; ``counts`` (corners), ``smoothing``, ``owners`` (of ``keys``) by polygon."""
 
     positions: list[bytes] = field(default_factory=list)
     uvs: list[bytes] = field(default_factory=list)

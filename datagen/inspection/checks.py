@@ -112,7 +112,7 @@ def _shows_highlights(view: View) -> NDArray[np.bool_]:
 
 
 def check_fireflies(view: View, where: str) -> list[Fault]:
-    """Report fireflies: an error above a limit, else a warning (none if all are on metal or gloss)."""
+    """Report fireflies: an error if too many; else a warning, but none if all are on metal or gloss."""
     mask = firefly_mask(view)
     count = int(mask.sum())
     limit = max(MAX_FIREFLIES, MAX_SHARE_OF_FIREFLIES * mask.size)
@@ -191,9 +191,9 @@ def check_roughness(
 ) -> Iterator[Fault]:
     """Find materials whose roughness is constant in the views although their texture varies.
 
-    ``ranges`` maps ids to results of :func:`roughness_ranges`, ``names`` ids (as text) to material names,
-    ``textured`` names to the range (maximum - minimum) of their texture. Materials with few pixels, or with a
-    nearly constant texture, are ignored.
+    ``ranges`` maps ids to results of :func:`roughness_ranges`, one per view, ``names`` ids (as text) to
+    material names, ``textured`` names to the range (maximum - minimum) of their texture. Materials with few
+    pixels, or with a nearly constant texture, are ignored.
     """
     for material, found in sorted(ranges.items()):
         counts, lows, highs = zip(*found, strict=True)

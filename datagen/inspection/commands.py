@@ -139,7 +139,7 @@ class ReportOptions:
 
     @property
     def max_pixel_views(self) -> int | None:
-        """Maximum number of views with pixels for the viewer, by whole configurations; None: all.
+        """Maximum number of views in the pixel viewer, which shows whole configurations only; None: all.
 
         Raises :class:`InputError` if ``pixels`` is neither a number nor "all".
         """
@@ -151,7 +151,7 @@ class ReportOptions:
 
     @property
     def methods(self) -> tuple[Method, ...]:
-        """The methods of the predictions; raises like :func:`parse_methods`."""
+        """The methods whose predictions are compared. Raises the errors of :func:`parse_methods`."""
         from datagen.inspection.report.predictions import parse_methods
 
         return parse_methods(self.predictions, self.label)

@@ -35,7 +35,7 @@ OPTIONAL = {
     "blender": ("the exporter, FBX and USD, and UVs where xatlas fails (Python 3.11)", ("bpy",)),
     "notebook": ("the notebook in the tutorials", ("ipykernel", "nbclient")),
 }
-"""Optional extras of the project by name: purpose and installed distributions."""
+"""Optional extras of the project by name: purpose, and the distributions that they install."""
 PROGRAMS = {
     "COLMAP": ("colmap", "cameras and meshes of your own photographs", "colmap"),
     "Slurm": ("sbatch", "`datagen farm submit` on a cluster, where it is installed", "slurm-client"),

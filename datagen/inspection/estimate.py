@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Predicts time, disk space and memory of a recipe from timed samples of at most 4 and at most 8 views.
+"""Predicts time, disk space and memory of a recipe from two timed samples, of at most 4 and 8 views.
 
 Each sample plans one configuration with the recipe's other settings, and runs it through all stages in a
-temporary folder. Time and disk space are extrapolated linearly to all views and configurations; memory and
-the statistics' time per view are linear in a configuration's number of views.
+temporary folder. Time and disk space are extrapolated linearly to all views and configurations. Memory,
+planning time and the statistics' time *per view* are fitted as linear in a configuration's number of views.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Renders an environment package with its own materials, lights and cameras, without assembly.
+"""Renders an environment package as it is, with its own materials, lights and cameras.
 
 ``python -m datagen.inspection.render_package PACKAGE... --out OUT`` writes ``OUT/<folder>/view_000.exr`` and
 so on, one linear EXR file per camera. The Blender add-on's fidelity report runs this module in a separate

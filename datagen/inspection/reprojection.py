@@ -116,7 +116,7 @@ def partners_of(index: int, count: int) -> list[int]:
 def check_reprojection(views: Sequence[Geometry], where: str) -> tuple[list[Fault], int]:
     """Return the faults of views that disagree with others, and the number of views that could be compared.
 
-    The view furthest beyond its limits is dropped repeatedly until all others are within theirs.
+    Views are dropped one by one, the furthest beyond its limits first, until all others are within theirs.
     """
     samples = [sample_points(view, index) for index, view in enumerate(views)]
     pairs = [

@@ -76,7 +76,7 @@ def _run(jobs: list[ShardJob], workers: int) -> Iterable[Report]:
 
 
 def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
-    """Create a job per shard in the index, or in the folder if the index is unreadable; report its faults."""
+    """Return a job per shard in the index, or on disk without a readable index; report the index's faults."""
     report.applied["index"] += 1
     on_disk = sorted({*folder.glob("*.tar"), *folder.glob("shards/*.tar")})
     try:
@@ -144,7 +144,8 @@ def expected_roughness(configuration: Configuration, library: Library) -> dict[s
     """Range of roughness of each material with a roughness texture, by its name in the views' records.
 
     The range is the difference of the texture's 99th and 1st percentiles with the roughness offset, clipped
-    to [0, 1]; the smallest, if offsets differ. Raises :class:`InputError` if an asset or image is missing.
+    to [0, 1]; if offsets differ, the smallest is returned. Raises :class:`InputError` if an asset or image is
+    missing.
     """
     ranges: dict[str, float] = {}
     for placed in (configuration.environment, *configuration.objects):

@@ -53,7 +53,7 @@ def configuration_geometry(
 
 
 def package_geometry(package: Package, placed: PlacedAsset) -> tuple[CaptureGeometry, tuple[str, ...]]:
-    """Like :func:`configuration_geometry`, for one package with its own materials and lights."""
+    """Like :func:`configuration_geometry`, for a single package as ``placed``, with its own lights."""
     asset, matrix = package.asset, placed.world_from_asset
     lights = asset.lights if isinstance(asset, ObjectAsset | EnvironmentAsset) else ()
     moved = [moved_light(light, matrix, package.id) for light in lights]
@@ -61,7 +61,7 @@ def package_geometry(package: Package, placed: PlacedAsset) -> tuple[CaptureGeom
 
 
 def has_surface(light: Light) -> TypeGuard[AreaLight | SphereLight]:
-    """Return whether a light is a surface visible to cameras; it is black if its radiance is 0."""
+    """Return whether a light is a surface visible to cameras, even a black one of radiance 0."""
     return isinstance(light, SphereLight) or (isinstance(light, AreaLight) and light.is_visible)
 
 

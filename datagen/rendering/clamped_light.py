@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Restores light removed by the firefly clamp, and estimates the error due to the rest.
+"""Restores light removed by the firefly clamp, and estimates the error due to the light not restored.
 
 Fireflies are paths of light that sampling rarely finds, such as caustics of a lamp in a mirror. Without their
 light, views would be up to 5 % darker. It is therefore spread over neighbouring pixels: the image is
@@ -29,9 +29,9 @@ MIN_DENSE, MIN_SCATTERED = 10.0, 3.0
 def restored_share(level: NDArray[np.floating], removed: NDArray[np.floating]) -> NDArray[np.float64]:
     """Light to restore (H, W), relative to the luminance ``level`` (H, W) of the clamped image.
 
-    ``removed`` (H, W) is the luminance removed from the mean of all samples. If its mean around a pixel is m,
-    and v the variance of that mean, the share max(0, 1 - k v / m^2) of the light removed from the pixel is
-    spread over the neighbourhood, and the rest over the wider one; k is the minimum number of fireflies.
+    ``removed`` (H, W) is the luminance removed from the mean of all samples. With m its local mean around a
+    pixel, v the variance of m and k the minimum number of fireflies, the share max(0, 1 - k v / m^2) of the
+    pixel's removed light is spread over the narrow neighbourhood; the rest is treated alike in the wide one.
     """
     share = np.zeros(removed.shape)
     if not removed.any():

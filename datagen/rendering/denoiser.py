@@ -92,7 +92,7 @@ class OidnDenoiser:
     def denoise(
         self, color: NDArray[np.float32], albedo: NDArray[np.float32], normal: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Denoise as in :class:`Denoiser`; clamp negative results to 0. Raises ``RuntimeError``."""
+        """Denoise as in :class:`Denoiser`, clamped to at least 0. Raises ``RuntimeError`` if OIDN fails."""
         shape = (int(color.shape[0]), int(color.shape[1]))
         if shape not in self._filters:
             self._filters[shape] = self._make_filter(shape)

@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SurfaceMaterial:
-    """Material of a slot; ``name`` is the id of an assigned material, ``asset/slot`` for the asset's own."""
+    """Material of a slot; ``name`` is the id of an assigned material, ``asset/slot`` for the asset's own.
+
+    ``emission`` is None if black; ``uv_scale`` is the scale that the configuration sets, if any.
+    """
 
     name: str
     package: Package

@@ -5,14 +5,14 @@ OIDN's error is a few per cent of the highest radiance in its network's receptiv
 white, that is less than the noise that it removes. Next to window panes at forty times white, it is more than
 the radiance of a dark glazing bar, whose samples are noisy but unbiased.
 
-Two independent halves a and b of the samples identify these pixels. With F their denoised image, the
+Two independent halves a and b of the samples identify these pixels. With F the denoised image, the
 expectation of (a - F)(b - F) is F's squared error, as long as F does not depend on the noise of that pixel; a
 firefly occurs in only one half and makes the product negative. The noisy image N therefore gets the weight
 
     g max(0, 1 - v / ((a - F)(b - F)))
 
-where v is the variance of a half: a shrinkage towards F (James and Stein 1961; for renderings Gu,
-Iglesias-Guitian and Moon 2022) that keeps F wherever noise may explain the difference. Two halves give a poor
+where v is the variance of a half. This shrinkage towards F (James and Stein 1961; for renderings Gu,
+Iglesias-Guitian and Moon 2022) keeps F wherever noise may explain the difference. Two halves give a poor
 estimate of a single pixel's variance, so v is the relative variance averaged over neighbouring pixels, times
 the squared radiance of the darker of F and N. The gate g rises from 0 to 1 as the brightest source nearby,
 in both halves and F, rises from ``FAINTEST_SOURCE`` to ``BRIGHT_SOURCE``. Without it, samples that are low by

@@ -21,7 +21,7 @@ half, whose noise is independent and unbiased:
 U contains products of the halves' noise, (a - r)(b - r), which vanish only in the mean over many pixels. With
 few pixels or strong noise, the estimate of bias^2 has a high variance, and V, whose variance is low, serves
 as a prior (:func:`_squared_bias`). None of these includes the energy removed by a firefly clamp, whose amount
-is recorded by pixel and half (:mod:`datagen.rendering.clamped_light`).
+is recorded per pixel and half (:mod:`datagen.rendering.clamped_light`).
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ then adds samples to edges where the halves agree by chance."""
 MAX_GROWTH = 4
 """Maximum factor by which a pass multiplies a tile's samples, since errors from few samples are imprecise."""
 MIN_SHARE = 0.05
-"""Fraction of the mean error of all tiles added to each tile, for light that no sample has hit yet."""
+"""Fraction of the tiles' mean error added to the error of each, in case all its samples missed the light."""
 MIN_PASS = 0.1
 """Minimum size of a pass relative to all earlier samples, since every pass requires an error estimate."""
 MIN_ADDED = 1.0
 """Minimum mean number of samples added to a half; tracing these takes about as long as the error estimate."""
 SAMPLE_STEP = 4
-"""Step of the number of samples added to a tile's half; multiples keep the lists of pixels short."""
+"""The number of samples added to a half of a tile is a multiple of this, to shorten the lists of pixels."""
 
 
 @dataclass(frozen=True)

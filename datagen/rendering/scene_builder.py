@@ -56,9 +56,10 @@ class BuiltScene:
     """A scene ready to render.
 
     ``instance_names`` and ``material_names`` map ids (from 1) to names. Instances are named ``placed/part``
-    for parts of the environment and ``placed`` for objects, materials by asset id or ``asset/slot``, with the
-    suffix ``#2`` etc. for other adjustments. ``face_instances`` maps shape ids to the instance id of each
-    triangle, ``shape_materials`` to material ids. ``hidden_shapes`` are ids of lights hidden from the camera.
+    for parts of the environment and ``placed`` for objects, materials by asset id or ``asset/slot``, with a
+    suffix ``#2`` etc. if there are several colour adjustments. ``face_instances`` maps shape ids to the
+    instance ids of triangles, ``shape_materials`` to material ids. ``hidden_shapes`` are ids of lights hidden
+    from the camera.
     """
 
     scene: Any

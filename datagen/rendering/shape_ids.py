@@ -52,7 +52,7 @@ class MergedShapeMaterials(SceneMaterials):
         self._hide(built, registry)
 
     def _bsdfs_with_lights(self, built: BuiltScene, registry: NDArray[np.int64]) -> Any:
-        """Index of the channel evaluator of each shape, including lights, by registry index."""
+        """Table from a shape's registry index to the index of its channel evaluator, also for lights."""
         problems = Problems("scene")
         evaluator = np.array(self._evaluator_of_shape)
         for shape, index in zip(built.scene.shapes(), registry, strict=True):
@@ -89,7 +89,7 @@ class MergedShapeMaterials(SceneMaterials):
         return dr.select(is_hit, first + si.prim_index, 0)
 
     def ids_at(self, shape_index: Array) -> tuple[Any, Any]:
-        """Instance ids and material ids of triangles with indices by :meth:`shape_index`; 0 for lights."""
+        """Instance ids and material ids of the triangles numbered by :meth:`shape_index`; 0 for lights."""
         return (
             dr.gather(mi.UInt32, self._instance_of_face, shape_index),
             dr.gather(mi.UInt32, self._material_of_face, shape_index),

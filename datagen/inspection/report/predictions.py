@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Compares predicted maps of a dataset's views with their ground truth, and writes them for the viewer.
 
-A method's folder contains one EXR file per view with D, S and R as half floats under the dataset's channel
-names, at the first of these paths that exists:
+A method, such as a network, has a folder with one EXR file per view that contains D, S and R as half floats
+under the dataset's channel names. The first of these paths that exists is read:
 
     FOLDER/<configuration>/<view>.exr
     FOLDER/<configuration>/views/<view>.exr    from ``materials infer SHARD --out FOLDER/<configuration>``

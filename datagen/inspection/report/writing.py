@@ -56,7 +56,7 @@ _LABELS["observation_count"] = "observation count"
 
 @dataclass(frozen=True)
 class ReportResult:
-    """Result of :func:`write_report`: path of the page, numbers of views, and size of the pixels' files.
+    """Result of :func:`write_report`: page, numbers of views and of views with pixels, size of the tiles.
 
     ``num_faults`` is None if the dataset was not verified; ``predicted`` contains, by method, the numbers of
     predicted views and of faulty predictions.

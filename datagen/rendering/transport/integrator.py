@@ -186,7 +186,7 @@ class PathTracer:
         grid: tuple[int, int] | None = None,
         before: NDArray[np.int64] | int = 0,
     ) -> PathSums:
-        """Return sums over ``num_samples`` paths per pixel, one number or an array (H, W).
+        """Sums over ``num_samples`` paths per pixel, one number or an array (H, W); see also :meth:`render`.
 
         If a path's light after two or more bounces exceeds ``limit`` in its largest channel, it is scaled
         down to the limit, and the removed luminance is summed too. Direct light, such as patches of sun, is

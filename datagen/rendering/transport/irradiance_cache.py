@@ -38,7 +38,7 @@ BRICK = 8
 """Number of cubes along each axis of a brick, the unit of storage."""
 CELLS_PER_BRICK = 6 * BRICK**3
 _UNKNOWN, _THIN, _UNIFORM = 0.0, 1.0, 2.0
-"""States of records: unknown irradiance, cells with opposite surfaces, and all others."""
+"""States of records: unknown irradiance, thin cells (see :class:`IrradianceCache`), and all others."""
 MAX_BRICKS, MAX_GRID = 1 << 12, 1 << 22
 """Maximum number of stored bricks, and of bricks in the whole grid, including empty ones."""
 
@@ -216,6 +216,6 @@ class IrradianceCache:
 
 
 def spread_of(previous: Any, pdf: Array, si: Any, direction: Array) -> Array:
-    """Side [m] of the area 1 / density at hit ``si``, for a direction with the density ``pdf`` [1/sr]."""
+    """Side [m] of a square of area 1 / density at hit ``si``; ``pdf`` [1/sr]: density of the direction."""
     cosine = dr.maximum(dr.abs(dr.dot(si.n, direction)), 1e-3)
     return dr.norm(si.p - previous.p) * dr.rsqrt(dr.maximum(pdf * cosine, 1e-30))

@@ -106,7 +106,7 @@ class SkyGuide:
         return dr.all((point >= self.low) & (point <= self.high))
 
     def pdf(self, point: Array, direction: Array) -> tuple[Any, Any]:
-        """Return the opening of a ``direction``, and its density [1/sr] in :meth:`sample` of this opening.
+        """Return the opening that a ``direction`` passes, and its density [1/sr] in :meth:`sample` there.
 
         ``point`` must be inside the box.
         """
@@ -138,8 +138,8 @@ def _position(cell: Array, sample: Array) -> Any:
 def _openings(probabilities: NDArray[np.float64], side_m: NDArray[np.float64]) -> NDArray[np.int64]:
     """Group the cells of a box with sides ``side_m`` (3,) into openings; return their indices (6 CELLS^2,).
 
-    ``probabilities`` (6 CELLS^2,) have the sum 1. The opening with the largest moment, probability x variance
-    of position along an axis, is split at its mean position, until there are OPENINGS or all are one cell.
+    ``probabilities`` (6 CELLS^2,) have the sum 1. The opening with the largest moment (probability x variance
+    of position along an axis) is repeatedly split at its mean, until there are OPENINGS or all are one cell.
     """
     places = _position(dr.arange(mi.UInt32, probabilities.size), mi.Point2f(0.0))
     positions = rows_from_vectors(places) * side_m / side_m.max()

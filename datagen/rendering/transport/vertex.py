@@ -57,7 +57,8 @@ class Walk:
         record: Array = 0,
     ) -> None:
         """Start the next segment at ``si``, along ``direction`` of density ``pdf`` [1/sr] where ``bounces``,
-        else straight on. The mask ``passes`` marks rays that pass through the surface without a bounce.
+        else straight on. ``passes`` marks rays that pass through the surface without a bounce; ``record`` is
+        the irradiance cache record of ``si``, 0 for none.
         """
         self.ray = si.spawn_ray(dr.select(bounces, direction, self.ray.d))
         self.previous = dr.select(bounces, mi.Interaction3f(si), self.previous)
