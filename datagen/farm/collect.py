@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Gathers the manifests of a dataset folder into its index, and removes files left by killed processes.
 
-A crash between publication of a shard and its manifest leaves a tar file that no manifest names; an earlier
-crash leaves a partial file. If two processes run a unit, one may write views after the other's commit.
+A crash after publication of a shard, but before that of its manifest, leaves a tar file that no manifest
+names; a crash before both leaves a partial file. If two processes run a unit, one may write views after the
+other's commit.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ def collect(
     """Write ``index.json`` from the manifests of finished units, and return the index.
 
     Unfinished units are listed in ``missing``; ``progress(done, total)`` counts units. Files left by killed
-    attempts are removed, and ``on_removed`` is called with each path. Raises :class:`InputError` with all
+    processes are removed, and ``on_removed`` is called with each path. Raises :class:`InputError` with all
     shards that are outside the folder or, if ``deep``, whose SHA-256 differs from the manifest's.
     """
     folder = DatasetFolder(root)

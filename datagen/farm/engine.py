@@ -45,7 +45,7 @@ class Engine(Protocol):
         """
 
     def collect(self, root: Path, options: SlurmOptions) -> Script | None:
-        """Script that indexes, verifies and reports after all units; None if the engine has none."""
+        """Script that writes index and report and verifies the dataset after all units, or None."""
         return None
 
     def send(self, script: Path, after: Sequence[str]) -> str:

@@ -90,7 +90,7 @@ class ViewTiming(StrictModel):
 
 
 class UnitManifest(StrictModel):
-    """Content of ``units/<key>.json``, which marks a unit as done and identifies its shard."""
+    """Content of ``units/<key>.json``, which marks a unit as done; ``attempt`` is a random id of the run."""
 
     format: Literal["scene-materials/unit"] = "scene-materials/unit"
     version: Literal[1] = 1

@@ -52,8 +52,8 @@ class SlurmOptions:
 
     ``notice_s`` seconds before its time limit, a unit is signalled to finish its view, then requeued.
     ``setup`` is shell code that makes ``datagen`` callable on a node. Plans longer than ``max_array`` (the
-    cluster's MaxArraySize) become several array jobs. The final job (index, verify, report) has separate
-    resources but shares account, qos, exclude, mail and, by default, partition. Raises :class:`InputError`.
+    cluster's MaxArraySize) become several array jobs. The final job (index, verify, report) shares account,
+    qos, exclude, mail and, by default, partition. Invalid values raise :class:`InputError`.
     """
 
     time_limit: Annotated[

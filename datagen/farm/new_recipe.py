@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command ``datagen recipe new``, which writes a recipe from four answers, and the recipe schema."""
+"""The command ``datagen recipe new``, which asks four questions and writes a recipe and its schema."""
 
 from __future__ import annotations
 

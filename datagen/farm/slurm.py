@@ -19,7 +19,7 @@ from datagen.foundation.errors import input_error
 
 
 def _directives(directives: dict[str, str | None], options: tuple[str, ...]) -> str:
-    """Format ``#SBATCH`` lines; the value None is an option without value, and '' leaves an option out.
+    """Format ``#SBATCH`` lines; None stands for an option without a value, and '' leaves an option out.
 
     Values are double-quoted if necessary, as ``#`` would begin a comment. Raises :class:`InputError` for
     values that cannot be quoted.

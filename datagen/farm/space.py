@@ -12,12 +12,12 @@ from datagen.foundation.buffers import BUFFERS, LIGHT_BUFFERS
 from datagen.foundation.errors import input_error
 
 _PACKED_SHARE = 0.4
-"""Size of a packed view relative to its buffers, as measured with `datagen run smoke.yaml`."""
+"""Size of a packed view relative to :func:`view_bytes`, as measured with `datagen run smoke.yaml`."""
 
 
 @dataclass(frozen=True)
 class SpaceNeed:
-    """Estimated bytes of the shards of ``num_units`` unfinished units, and of the units in progress."""
+    """Estimated bytes of the shards of ``num_units`` unfinished units, and of temporary files at a time."""
 
     num_units: int
     shard_bytes: float

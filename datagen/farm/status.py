@@ -164,7 +164,7 @@ def last_lines(root: Path, log: str, count: int = 5) -> list[str]:
 
 
 def print_status(root: Path, cost_per_hour: float = 0.0) -> FarmStatus:
-    """Print and return a dataset folder's status; ``cost_per_hour`` is per running unit."""
+    """Print and return a dataset folder's status; ``cost_per_hour`` is the hourly price of a unit."""
     status = read_status(root)
     hours = status.unit_seconds / 3600
     counts = f"{status.done} done, {len(status.running)} running, {len(status.failed)} failed"

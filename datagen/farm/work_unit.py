@@ -60,7 +60,7 @@ class Interrupted(Exception):
 
 @dataclass
 class UnitRun:
-    """State of an attempt at a unit. ``report(stage, done, total)`` is called after each view.
+    """State of one attempt to run a unit. ``report(stage, done, total)`` is called after each view.
 
     ``should_stop`` is called between views; if it returns true, :class:`Interrupted` is raised.
     """
@@ -342,4 +342,4 @@ def commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
 
 
 STAGES = {"render": _render, "stats": _gather_statistics, "pack": _pack}
-"""Function that runs each stage."""
+"""Functions that run the stages, by name."""

@@ -50,7 +50,7 @@ class ImageSource:
 
 @dataclass(frozen=True)
 class BakedSource:
-    """Computed linear values, (H, W, 3) colours or (H, W) scalars; ``label``: base name of their file."""
+    """Linear values (H, W, 3) or (H, W); ``label`` and ``encoding``: base name and encoding of their file."""
 
     values: NDArray[np.float32]
     label: str
@@ -153,7 +153,7 @@ def num_pixels(file: Path) -> int:
 
 
 def read_any_image(file: Path) -> NDArray:
-    """Read an image, even BMP, TGA, TIFF or HDR, as (H, W, C). Raises :class:`InputError` if unreadable."""
+    """Read an image (also of type BMP, TGA or HDR) as (H, W, C). Raises :class:`InputError` on failure."""
     if file.suffix.lower() in IMAGE_SUFFIXES:
         return read_image(file)
     import cv2

@@ -48,7 +48,7 @@ class ImportOptions:
     """Options of an import. Empty strings stand for values that are detected or derived.
 
     ``dielectric``: ``refuse`` transparent materials, or ``replace`` them: flat panes and thin dielectrics are
-    removed, solid bodies become opal glass; ``dielectric_as`` decides by material. ``missing``:
+    removed, solid bodies become opal glass; ``dielectric_as`` overrides this by name. ``missing``:
     ``refuse`` missing files, or ``replace`` them with grey or omit them. ``unit_scale``: metres per unit of
     the file; None: 1, or a plausible value for formats without a unit. ``defines``: values of a Mitsuba
     scene's variables. ``allowed``: folders, in addition to the source's, from which files may be read.

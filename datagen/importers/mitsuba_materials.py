@@ -34,7 +34,7 @@ class Draft:
     """A converted material whose textures are not yet written.
 
     ``uv_matrix`` (3, 3) acts on UVs whose v points down. ``transparency``: '' for opaque, ``thin`` transmits
-    light without refraction, ``body`` refracts it, ``null`` is invisible. ``height`` is in scene units.
+    light straight, ``body`` refracts it, ``null`` is invisible. ``height``: bump map in scene units.
     """
 
     name: str

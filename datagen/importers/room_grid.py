@@ -95,7 +95,7 @@ class RoomGrid:
             walls += np.flip(np.logical_or.accumulate(np.flip(occupied, axis), axis=axis), axis)
         inside = ((seeds - origin) / cell).astype(np.int64) if len(seeds) else np.zeros((0, 3), np.int64)
         inside = inside[((inside >= 0) & (inside < shape)).all(axis=1)]
-        for num_sides in (5, 4):  # of 6 that enclose; film sets lack a wall, or a wall and the ceiling
+        for num_sides in (5, 4):  # enclosing sides (of 6); film sets lack a wall, or a wall and the ceiling
             labels, count = ndimage.label(~occupied & (walls >= num_sides))
             hits = labels[tuple(inside.T)]
             hits = hits[hits > 0]

@@ -128,10 +128,7 @@ def _steps(catalogue: Catalogue, folder: Path, options: ImportOptions) -> Iterat
 
 
 def _kept(path: Path, origin: str, options: ImportOptions) -> ImportedAsset:
-    """Return the record of a piece's package from an earlier run.
-
-    Raises :class:`InputError` if its source is not ``origin``.
-    """
+    """Return the record of a piece's existing package. Raises :class:`InputError` for another ``origin``."""
     with open_package(path) as package:
         source = package.asset.provenance
         if not (options.source or source.source).startswith(origin):

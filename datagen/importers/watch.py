@@ -21,7 +21,7 @@ _NAMED, _LINES = 3, 6  # maximum numbers of names per line, and of lines per kin
 
 
 class ImportWatch:
-    """Context manager that shows progress bars: one of the sources, if on a terminal, and one per catalogue.
+    """Context manager that shows progress bars: one for all sources, if on a terminal, and one per catalogue.
 
     On exit, also after an error, it prints summaries of the assets and of the catalogues.
     """
@@ -101,7 +101,7 @@ class ImportWatch:
 
 
 def summary_lines(asset: ImportedAsset) -> list[str]:
-    """Return the lines of a summary; ``import.json`` lists all remarks except warnings of the check."""
+    """Return an asset's summary; ``import.json`` lists all its remarks except warnings of its check."""
     lines = [f"{asset.kind} {asset.asset_id} ({asset.license}): {asset.contents}; {asset.path}"]
     for label, sentences in (("approximated", asset.approximations), ("note", asset.notes)):
         grouped = group_sentences(sentences)

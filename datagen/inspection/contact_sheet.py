@@ -222,7 +222,7 @@ def _label_width(text: str) -> int:
 
 
 def shard_sheet(shard: Path, max_rows: int = MAX_ROWS) -> Image.Image:
-    """Draw the contact sheet of a shard. Raises :class:`InputError` if it is damaged or has no views."""
+    """Draw up to ``max_rows`` views of a shard. Raises :class:`InputError` if damaged or without views."""
     reader = ShardReader(shard)
     records = list(reader.records())
     chosen = [records[index] for index in choose_rows(len(records), max_rows)]

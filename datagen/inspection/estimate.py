@@ -26,7 +26,7 @@ from datagen.library import Library
 
 @dataclass(frozen=True)
 class Estimate:
-    """Predicted cost of a whole recipe on this machine, with one worker that uses all processors."""
+    """Predicted cost of a recipe with one worker; ``working_bytes``: temporary files of a running unit."""
 
     num_configurations: int
     num_views: int

@@ -93,7 +93,7 @@ def check_recheck(folder: Path, samples: int) -> None:
 def recheck(
     folder: Path, library: Library, count: int, samples: int, report: Report, progress: Advance = no_advance
 ) -> list[Rechecked]:
-    """Render ``count`` random views again with ``samples`` paths per pixel, and compare them.
+    """Render ``count`` random views again with ``samples`` paths per pixel; compare with the stored images.
 
     The recipe's seed selects the views. Faults and notes are added to ``report``. Configurations that are
     damaged or whose assets have changed are skipped with a note; without an index, all are.

@@ -139,7 +139,7 @@ def check_reprojection(views: Sequence[Geometry], where: str) -> tuple[list[Faul
 def _excess(
     pairs: Sequence[tuple[int, int, Agreement]], index: int, view: Geometry
 ) -> tuple[float, str, str]:
-    """Larger ratio of a view's two median deviations to their limits, and the texts of its fault."""
+    """The larger ratio of a view's two median deviations to its limit, and the texts of that fault."""
     mine = [agreement for a, b, agreement in pairs if index in (a, b)]
     through = float(np.median([agreement.seen_through for agreement in mine]))
     gaps = [a.median_residual for a in mine if not np.isnan(a.median_residual)]

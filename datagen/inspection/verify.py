@@ -144,8 +144,7 @@ def expected_roughness(configuration: Configuration, library: Library) -> dict[s
     """Range of roughness of each material with a roughness texture, by its name in the views' records.
 
     The range is the difference of the texture's 99th and 1st percentiles with the roughness offset, clipped
-    to [0, 1]; if offsets differ, the smallest is returned. Raises :class:`InputError` if an asset or image is
-    missing.
+    to [0, 1]; with several offsets, the smallest. Raises :class:`InputError` if an asset or image is missing.
     """
     ranges: dict[str, float] = {}
     for placed in (configuration.environment, *configuration.objects):

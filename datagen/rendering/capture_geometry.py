@@ -53,7 +53,7 @@ def configuration_geometry(
 
 
 def package_geometry(package: Package, placed: PlacedAsset) -> tuple[CaptureGeometry, tuple[str, ...]]:
-    """Like :func:`configuration_geometry`, for a single package as ``placed``, with its own lights."""
+    """Like :func:`configuration_geometry`, for a placed package with its own materials and lights."""
     asset, matrix = package.asset, placed.world_from_asset
     lights = asset.lights if isinstance(asset, ObjectAsset | EnvironmentAsset) else ()
     moved = [moved_light(light, matrix, package.id) for light in lights]

@@ -3,8 +3,8 @@
 
 Fireflies are paths of light that sampling rarely finds, such as caustics of a lamp in a mirror. Without their
 light, views would be up to 5 % darker. It is therefore spread over neighbouring pixels: the image is
-multiplied by 1 plus the share of light removed around each pixel, in the smallest neighbourhood with enough
-fireflies. If even a wide one has too few, their energy is uncertain and at best restored in part.
+multiplied by 1 plus the share of light removed around each pixel, in a narrow neighbourhood if it contains
+enough fireflies, else in a wide one. If even that has too few, at most part of their energy is restored.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def restored_share(level: NDArray[np.floating], removed: NDArray[np.floating]) -
 
     ``removed`` (H, W) is the luminance removed from the mean of all samples. With m its local mean around a
     pixel, v the variance of m and k the minimum number of fireflies, the share max(0, 1 - k v / m^2) of the
-    pixel's removed light is spread over the narrow neighbourhood; the rest is treated alike in the wide one.
+    pixel's removed light is spread over the narrow neighbourhood; the rest is treated likewise with the wide.
     """
     share = np.zeros(removed.shape)
     if not removed.any():

@@ -22,10 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SurfaceMaterial:
-    """Material of a slot; ``name`` is the id of an assigned material, ``asset/slot`` for the asset's own.
-
-    ``emission`` is None if black; ``uv_scale`` is the scale that the configuration sets, if any.
-    """
+    """Material of a slot; ``name`` is the id of an assigned material, ``asset/slot`` for the asset's own."""
 
     name: str
     package: Package

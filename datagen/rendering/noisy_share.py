@@ -6,7 +6,7 @@ white, that is less than the noise that it removes. Next to window panes at fort
 the radiance of a dark glazing bar, whose samples are noisy but unbiased.
 
 Two independent halves a and b of the samples identify these pixels. With F the denoised image, the
-expectation of (a - F)(b - F) is F's squared error, as long as F does not depend on the noise of that pixel; a
+expectation of (a - F)(b - F) is F's squared error, as long as F does not depend on the pixel's own noise; a
 firefly occurs in only one half and makes the product negative. The noisy image N therefore gets the weight
 
     g max(0, 1 - v / ((a - F)(b - F)))

@@ -57,9 +57,8 @@ class BuiltScene:
 
     ``instance_names`` and ``material_names`` map ids (from 1) to names. Instances are named ``placed/part``
     for parts of the environment and ``placed`` for objects, materials by asset id or ``asset/slot``, with a
-    suffix ``#2`` etc. if there are several colour adjustments. ``face_instances`` maps shape ids to the
-    instance ids of triangles, ``shape_materials`` to material ids. ``hidden_shapes`` are ids of lights hidden
-    from the camera.
+    suffix ``#2`` etc. if there are several colour adjustments. ``face_instances`` maps shape ids to instance
+    ids by triangle, ``shape_materials`` to material ids. ``hidden_shapes``: lights hidden from the camera.
     """
 
     scene: Any
@@ -133,7 +132,7 @@ def _check_packages(configuration: Configuration, library: Library) -> None:
 
 
 class _Builder:
-    """Collects groups of triangles, ids and faults of the placed assets, in order."""
+    """Collects triangle groups, ids and faults while placed assets are added one by one."""
 
     def __init__(self, library: Library, caches: AssetCaches):
         self.library, self.caches = library, caches

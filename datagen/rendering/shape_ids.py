@@ -25,7 +25,7 @@ Array = Any
 class MergedShapeMaterials(SceneMaterials):
     """:class:`SceneMaterials` of a :class:`BuiltScene`.
 
-    Ids are looked up by the index of a triangle in the scene, from 1; index 0 means no triangle. Lights
+    Ids are looked up by a triangle's index in the scene, which starts at 1; 0 means no triangle. Lights
     hidden from the camera count as fully transparent surfaces.
     """
 

@@ -49,7 +49,7 @@ gaps; and factor on the number of samples there, since a single sample that hits
 times as bright as the pixel."""
 QUICK_SAMPLES = 16
 """Maximum mean samples per pixel for ``quick_denoiser``. For the same error, it requires a quarter more
-samples; up to this number, these take less time than the better denoiser."""
+samples, which take less time than the better denoiser up to this number."""
 _FULL_COVERAGE_SLACK = 1e-5  # rounding error of a sum of float32 shares
 
 
@@ -215,7 +215,7 @@ class ViewJob:
     def _cleaned(
         self, images: list[NDArray[np.float32]], denoiser: Denoiser | None
     ) -> list[NDArray[np.float32]]:
-        """Denoise ``images`` (H, W, 3); with a budget, keep pixels where the noisy image is more accurate."""
+        """Denoise ``images`` (H, W, 3); with a budget, keep noisy pixels where these are more accurate."""
         clean = [self.denoise(image, denoiser) for image in images]
         if self.budget is None or denoiser is None:
             return clean
@@ -274,7 +274,7 @@ class ViewJob:
         return image
 
     def _clamp_limit(self) -> float:
-        """Maximum radiance of a path of two or more bounces: ``firefly_clamp`` in units of the exposed white.
+        """Maximum radiance of paths of two or more bounces: ``firefly_clamp`` in units of the exposed white.
 
         The exposure is that of a coarse image of reflected light, traced beforehand without a clamp. The
         limit is infinite if the recipe has no clamp or less than ``MIN_LIT`` of the image is lit.

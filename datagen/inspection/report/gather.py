@@ -49,7 +49,7 @@ NO_VIEW = 65535
 
 @dataclass(frozen=True)
 class GatherJob:
-    """A shard to process; ``with_pixels`` requests tiles, ``with_sources`` also tiles of source views."""
+    """A shard to process; ``with_pixels`` requests tiles of buffers, ``with_sources`` of source views too."""
 
     shard: Path
     record: ShardRecord

@@ -23,7 +23,7 @@ from datagen.library import Library, asset_classes
 
 _COARSE = 8  # cells per side of the grid by which missing regions are listed
 _MISSING_SHARE = 1e-3
-"""A coarse cell with a smaller share of the surface pixels than this counts as missing."""
+"""Cells of the coarse grid (R, luminance of D) with a smaller share of the pixels count as missing."""
 _UNKNOWN = "not in the library"
 MAX_LISTED_FAULTS = 20
 
@@ -72,7 +72,7 @@ def distributions(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def coverage(gathered: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Pixel counts over R and luminance of D, regions without pixels, and shares of metal and gloss."""
+    """Pixel counts over R and luminance of D, regions with hardly any, and shares of metal and gloss."""
     cells = np.sum([shard["coverage"] for shard in gathered], axis=0)
     total = max(int(cells.sum()), 1)
     training = [shard for shard in gathered if shard["split"] == "train"]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Writes pixels for a page that opens from disk: one lossless file per buffer and view, loaded on demand.
 
-A page opened from disk may not read files, but it may open them in frames: a tile is a small page that
+Browsers forbid a page opened from disk to read files, but not to open them in frames: a tile is a page that
 decompresses its bytes and passes them to the page that contains the frame (``page/tile.html``; decision 60).
 The stored numbers are arranged in planes (channel by channel, rows top-down) and replaced by differences to
 the left neighbour, modulo the word's size. The first (lowest) bytes of all words, then all second bytes and

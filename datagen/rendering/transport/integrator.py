@@ -54,7 +54,7 @@ UNLIMITED = 0xFFFFFFFF
 MIN_SPECULAR_SURVIVAL = 0.2
 """Minimum probability that a path whose diffuse light is cached continues along the specular lobe."""
 TINY = 1e-30
-"""Prevents division by 0 in the clamp for paths without light."""
+"""Prevents division by 0 for paths without light and surfaces of zero opacity."""
 
 _LIVE: weakref.WeakSet[PathTracer] = weakref.WeakSet()
 

@@ -50,7 +50,7 @@ class SurfaceCells:
     """
 
     def __init__(self, points_m: NDArray[np.float64]):
-        """``points_m`` (N, 3) must not all be equal."""
+        """``points_m`` (N, 3) are points on surfaces, which must not all be equal."""
         longest = float(np.ptp(points_m, axis=0).max())
         side = min(MAX_SIDE_M, longest / MIN_CELLS_ACROSS)
         while True:
@@ -147,7 +147,7 @@ class IrradianceCache:
         self._upload(self._sums[:, :3] / np.maximum(self._counts, 1e-9)[:, None])
 
     def finish(self) -> None:
-        """Shrink the means of cells with few samples towards the means of their neighbourhood."""
+        """Shrink the means of cells with few samples towards those around them; compute ``light_weights``."""
         means = np.zeros_like(self._sums)
         orientation, cube = self.cells.cubes(self.cell_of_record[1:])
         counts, sums = self._counts[1:], self._sums[1:]
@@ -216,6 +216,6 @@ class IrradianceCache:
 
 
 def spread_of(previous: Any, pdf: Array, si: Any, direction: Array) -> Array:
-    """Side [m] of a square of area 1 / density at hit ``si``; ``pdf`` [1/sr]: density of the direction."""
+    """Spread [m] at hit ``si``: root of the area 1 / density, with the direction's density ``pdf`` [1/sr]."""
     cosine = dr.maximum(dr.abs(dr.dot(si.n, direction)), 1e-3)
     return dr.norm(si.p - previous.p) * dr.rsqrt(dr.maximum(pdf * cosine, 1e-30))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Gathers the irradiance cache and the light sampler's moments along camera paths of all views.
+"""Gathers the irradiance cache, and second moments for the light sampler, along camera paths of all views.
 
 The first rounds trace whole paths, which distribute light through the scene. In later rounds, the diffuse
 lobe at the end of a segment reflects (1 - S) D E / pi, with E from earlier rounds, and only light of the
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 Array = Any
 
 NUM_RAYS = 40960
-"""Number of camera rays of all views together, independent of resolution since all views share the noise of
-the cache; each ray yields samples of irradiance at up to four vertices."""
+"""Number of camera rays of all views together, for any resolution, since all pixels share the cache; each ray
+yields samples of irradiance at up to four vertices."""
 BOX_PERCENTILE = 0.2
 """Percentage of the visited points, such as distant landscape, left out at each end of each axis."""
 MIN_HITS = 64

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Learned light sampling: emitters are chosen with probabilities estimated by cell.
 
-Mitsuba chooses among emitters with equal probability, so in a room with a lamp and an occluded sky half of
+Mitsuba chooses among emitters with equal probability, so in a room with a lamp and an occluded sky, half of
 the shadow rays are wasted. While irradiance is gathered (:mod:`.irradiance_gathering`), the second moment of
 each technique is estimated in every cell. The techniques are the sampling of each emitter and, if there is a
 sky guide (:mod:`.sky_guide`), of each opening. Technique k is then chosen with probability
 
-    q_k ~ sqrt(E_k[f^2]),    f = radiance x cosine / density, E_k over the technique's samples,
+    q_k ~ sqrt(E_k[f^2]),    f = radiance x cosine / density, E_k: mean over its samples,
 
 which minimises the variance of a choice among techniques. Since every technique has a minimum probability and
 densities are exact, bad estimates increase the variance but add no bias.
@@ -37,8 +37,8 @@ Probabilities are multiples of 1 / slots, and at least 1 / slots."""
 MAX_LEARNED = 24
 """Maximum number of techniques for learned sampling; with more, tables are large and estimates poor."""
 MAX_TECHNIQUES = 512
-"""Maximum number of techniques, since the table's entries have 10 bits; with more, Mitsuba chooses uniformly,
-without a sky guide."""
+"""Maximum number of techniques, since table entries have 10 bits for them; with more, Mitsuba chooses
+uniformly, without a sky guide."""
 BELOW_ONE = 1.0 - 2.0**-20
 """Upper bound of rescaled random numbers, which rounding could raise to 1."""
 
@@ -184,7 +184,7 @@ def uniform_sampler(scene: Any, guide: SkyGuide | None) -> LightSampler | None:
 
 
 def whole_slots(weights: NDArray[np.float64], num_slots: int = SLOTS) -> NDArray[np.int64]:
-    """Divide ``num_slots`` slots per row by ``weights`` (P, T), at least one each; return counts (P, T)."""
+    """Divide each row's ``num_slots`` slots in proportion to ``weights`` (P, T), at least 1 each."""
     total = weights.sum(axis=1, keepdims=True)
     uniform = np.full_like(weights, 1.0 / weights.shape[1])
     parts = np.divide(weights, total, out=uniform, where=total > 0.0)

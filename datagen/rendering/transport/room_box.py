@@ -32,7 +32,7 @@ MARGIN = 0.025
 box excludes MARGIN_PERCENTILE % of the points beyond each face and so hardly depends on surfaces outdoors."""
 MARGIN_PERCENTILE = 10.0
 INNER_PERCENTILES = (4, 6, 8, 10, 12.5, 15, 17.5, 20, 25, 30, 35, 40)
-"""Percentages of the visited points left out beyond faces that were moved inwards."""
+"""Positions to which a face may be moved, as percentages of the visited points left out beyond it."""
 MIN_GAIN = 0.1
 """Minimum increase of the mean logarithm of the density for moving a face."""
 NUM_RAYS = 4096

@@ -39,14 +39,13 @@ Array = Any
 OPENINGS = 8
 """Maximum number of openings, which are groups of cells."""
 SMALLEST_MOMENT = 1e-9
-"""Smallest probability x variance, in squares of the longest side, that is not rounding error."""
+"""Smallest moment of :func:`_openings`, in squares of the longest side, that is not rounding error."""
 TABLE = 1 << 13
-"""Number of entries of the table from which a cell of an opening is drawn; probabilities are multiples of its
-inverse."""
+"""Number of table entries from which an opening's cell is drawn; probabilities are multiples of 1 / TABLE."""
 NEIGHBOUR_SHARE = 0.05
 """Fraction of a cell's weight added to each of its eight neighbours, since rays miss parts of openings."""
 MIN_ESCAPES = 256
-"""Minimum number of rays that leave the room for fitting a guide."""
+"""Minimum number of escaping rays to which a guide is fitted."""
 MAX_SHARE = 0.5
 """Maximum share of the shadow rays sampled by the guide instead of emitter sampling."""
 MIN_SHARE = 0.1
@@ -106,7 +105,7 @@ class SkyGuide:
         return dr.all((point >= self.low) & (point <= self.high))
 
     def pdf(self, point: Array, direction: Array) -> tuple[Any, Any]:
-        """Return the opening that a ``direction`` passes, and its density [1/sr] in :meth:`sample` there.
+        """Return the opening of a ``direction``, and the density [1/sr] with which :meth:`sample` draws it.
 
         ``point`` must be inside the box.
         """
