@@ -17,7 +17,7 @@ _PACKED_SHARE = 0.4
 
 @dataclass(frozen=True)
 class SpaceNeed:
-    """Estimated bytes of the shards of ``num_units`` unfinished units, and of temporary files at a time."""
+    """Estimated bytes of the shards of ``num_units`` unfinished units and of temporary files meanwhile."""
 
     num_units: int
     shard_bytes: float

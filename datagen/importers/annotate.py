@@ -212,7 +212,7 @@ def _support_surfaces(
 
 
 def _is_same(one: _Rectangle, other: _Rectangle) -> bool:
-    """Return whether two horizontal rectangles overlap by over 10 cm in x and y and differ by < 5 cm in z."""
+    """Return whether two horizontal rectangles overlap by over 10 cm in x and y and are within 5 cm in z."""
     common = np.minimum(one[1] + one[2], other[1] + other[2]) - np.maximum(one[1], other[1])
     return abs(one[0] - other[0]) < 0.05 and bool((common > 0.1).all())
 

@@ -25,7 +25,7 @@ _MARK = "to_gltf: "
 
 
 def uses_draco(path: Path) -> bool:
-    """True if a glTF file, of up to ``MAX_TEXT_BYTES``, uses Draco, and Blender's decoder is installed."""
+    """True if a glTF file uses Draco and Blender's decoder is installed; False above ``MAX_TEXT_BYTES``."""
     if importlib.util.find_spec("bpy") is None or path.stat().st_size > MAX_TEXT_BYTES:
         return False
     with path.open("rb") as file:

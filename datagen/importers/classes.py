@@ -76,7 +76,7 @@ def guess_category(*names: str) -> str:
 def guess_supports(category: str, height_m: float, width_m: float) -> tuple[SupportKind, ...]:
     """Return the kinds of surface that support an object: the floor for furniture and large objects.
 
-    Small objects stand on furniture; those over 40 cm on the floor and, if usual (a vase), also on tables.
+    Other objects over 40 cm stand on the floor and, if usual (a vase), on tables; smaller ones on furniture.
     """
     if category in _FLOOR_CATEGORIES or height_m > 0.6 or width_m > 0.8:
         return ("floor",)

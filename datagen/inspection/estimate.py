@@ -118,7 +118,7 @@ def estimate(recipe: Recipe, library: Library, report: Advance = no_advance) -> 
 
 
 def print_estimate(result: Estimate, workers: int, free_bytes: float, as_json: bool = False) -> bool:
-    """Print the prediction; returns whether ``free_bytes`` suffice for the dataset and all workers."""
+    """Print the prediction; return whether ``free_bytes`` suffice for the dataset and all workers."""
     needed = result.total_bytes + workers * result.working_bytes
     if as_json:
         import json

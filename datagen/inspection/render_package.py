@@ -20,7 +20,7 @@ from datagen.foundation.errors import input_error
 def render_package(
     package_path: Path, out: Path, samples: int = 64, max_depth: int = 8, denoise: bool = False
 ) -> list[Path]:
-    """Render every camera of a package; returns the EXR files in the order of the cameras."""
+    """Render every camera of a package; return the EXR files in the order of the cameras."""
     import numpy as np
 
     from datagen.formats.base import write_bytes_atomically

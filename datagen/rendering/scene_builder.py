@@ -58,7 +58,7 @@ class BuiltScene:
     ``instance_names`` and ``material_names`` map ids (from 1) to names. Instances are named ``placed/part``
     for parts of the environment and ``placed`` for objects, materials by asset id or ``asset/slot``, with a
     suffix ``#2`` etc. if there are several colour adjustments. ``face_instances`` maps shape ids to instance
-    ids by triangle, ``shape_materials`` to material ids. ``hidden_shapes``: lights hidden from the camera.
+    ids by triangle, ``shape_materials`` to material ids. ``hidden_shapes`` are ids of hidden lights.
     """
 
     scene: Any

@@ -132,7 +132,7 @@ class CompareJob:
 
 @cached
 def compare_shard(job: CompareJob) -> dict[str, Any]:
-    """Compare a method's maps with a shard; returns each view's errors as plain data and writes tiles.
+    """Compare a method's maps with a shard; return each view's errors as plain data, and write tiles.
 
     Faults of a prediction are part of the result. Raises :class:`InputError` if the shard is damaged.
     """

@@ -43,7 +43,7 @@ def _template() -> str:
 
 
 def write_tile(path: Path, key: str, array: NDArray) -> int:
-    """Write an array (H, W, C) as tile ``key`` (``configuration/view/buffer``); returns the file's size."""
+    """Write an array (H, W, C) as tile ``key`` (``configuration/view/buffer``); return the file's size."""
     height, width, channels = array.shape
     size = {"width": width, "height": height, "channels": channels}
     head = {"key": key, "dtype": _WORDS[array.dtype.name], **size}

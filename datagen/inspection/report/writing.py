@@ -201,7 +201,7 @@ Job = TypeVar("Job", GatherJob, CompareJob)
 def _run_jobs(
     jobs: Sequence[Job], work: Callable[[Job], dict[str, Any]], stage: str, workers: int, progress: Progress
 ) -> tuple[list[dict[str, Any]], list[tuple[Job, InputError]]]:
-    """Run ``jobs`` in processes; returns the results in order, and the failed jobs with their errors."""
+    """Run ``jobs`` in processes; return the results in order, and the failed jobs with their errors."""
     results: dict[int, dict[str, Any]] = {}
     failures: dict[int, InputError] = {}
 
@@ -287,7 +287,7 @@ def report_command(
     library_paths: Iterable[Path] | None = None,
     is_dry_run: bool = False,
 ) -> int:
-    """Print the planned output and, unless ``is_dry_run``, write the report; returns the exit code.
+    """Print the planned output and, unless ``is_dry_run``, write the report; return the exit code.
 
     Raises :class:`InputError` if the disk has too little space, or for the reasons of :func:`write_report`.
     """

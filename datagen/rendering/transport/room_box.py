@@ -115,9 +115,8 @@ def _log_density(
     found = np.bincount(cell, inner, num_cells)[cell] - inner  # without the ray itself
     share = (1.0 - UNIFORM_SHARE) * np.maximum(found, 0.0) / inner.sum() + UNIFORM_SHARE / num_cells
     density = share / cell_areas(box_m)[cell] * distance**2 / np.maximum(cosine, 1e-9)
-    density = np.where(
-        is_inside, np.maximum(density, 1e-30), OUTER_DENSITY
-    )  # the bound prevents log 0 for rays that start on a face
+    # the bound prevents log 0 for rays that start on a face
+    density = np.where(is_inside, np.maximum(density, 1e-30), OUTER_DENSITY)
     return float(weights @ np.log(density) / weights.sum())
 
 

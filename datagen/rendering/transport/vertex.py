@@ -39,9 +39,8 @@ class Walk:
         self.previous: Any = dr.zeros(mi.Interaction3f, num)  # vertex of the last bounce
         self.previous_pdf: Any = dr.full(mi.Float, 1.0, num)  # density of the direction sampled there [1/sr]
         self.previous_is_delta: Any = dr.full(mi.Bool, True, num)  # True if there was no emitter sample there
-        self.previous_record: Any = dr.zeros(
-            mi.UInt32, num
-        )  # irradiance cache record of that vertex; 0: none
+        # irradiance cache record of that vertex; 0: none
+        self.previous_record: Any = dr.zeros(mi.UInt32, num)
 
     def intersect(self, scene: Any, active: Array) -> Any:
         """Surface interaction at the end of the current segment, in ``active`` lanes."""
