@@ -31,7 +31,7 @@ def restored_share(level: NDArray[np.floating], removed: NDArray[np.floating]) -
 
     ``removed`` (H, W) is the luminance removed from the mean of all samples. With m its local mean around a
     pixel, v the variance of m and k the minimum number of fireflies, the share max(0, 1 - k v / m^2) of the
-    pixel's removed light is spread over the narrow neighbourhood; the rest is treated likewise with the wide.
+    pixel's removed light is spread over the narrow neighbourhood. For the rest, this is repeated in the wide.
     """
     share = np.zeros(removed.shape)
     if not removed.any():

@@ -22,7 +22,7 @@ MAX_DEPTH = 64
 
 
 def rms_reflectance(buffers: list[dict[str, NDArray[np.float32]]]) -> float:
-    """Reflectance in [0, 1] that represents all surfaces in several views, with one dictionary of buffers each.
+    """Reflectance in [0, 1] that represents all surfaces in views, given the buffers of each by name.
 
     It is the root mean square over pixels, in the channel where that is largest; a plain mean would
     underestimate the share of light from bright surfaces. 0 without surfaces.
