@@ -45,7 +45,7 @@ class Engine(Protocol):
         """
 
     def collect(self, root: Path, options: SlurmOptions) -> Script | None:
-        """Script of the final job, which writes the index, verifies the dataset and writes the report; or None."""
+        """Script of the final job, which writes the index, verifies the dataset and reports; or None."""
         return None
 
     def send(self, script: Path, after: Sequence[str]) -> str:

@@ -113,7 +113,7 @@ def run_local(
 
     After SIGINT, SIGTERM or SIGUSR1, the run stops once views in progress are finished, at most 20 s later; a
     full disk stops it immediately. Units that failed ``attempts`` times are listed in ``failures`` and
-    recorded in ``failed/``. Raises :class:`InputError` without a plan or for a folder that is not writable.
+    recorded in ``failed/``. Raises :class:`InputError` without a plan, its Mitsuba variant or write access.
     """
     folder = DatasetFolder(root)
     plan = folder.read_plan()

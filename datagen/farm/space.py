@@ -29,7 +29,7 @@ class SpaceNeed:
 
 
 def view_bytes(recipe: Recipe) -> int:
-    """Bytes of a complete view without compression."""
+    """Uncompressed size in bytes of a view with statistics."""
     left_out = () if recipe.statistics.light else LIGHT_BUFFERS
     left_out += () if recipe.render.keep_noisy else ("beauty_noisy",)
     stored = sum(b.num_channels * b.dtype.itemsize for b in BUFFERS.values() if b.name not in left_out)

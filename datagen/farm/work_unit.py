@@ -270,7 +270,7 @@ def _missing_view(path: Path, run: UnitRun, stage: str) -> InputError:
 
 
 def _pack(run: UnitRun, configuration: Configuration) -> None:
-    """Write the complete views to a shard, and commit it by its manifest."""
+    """Write the views with statistics to a shard, and commit it by its manifest."""
     start = time.perf_counter()
     run.heartbeat_path.touch()
     names = [camera.name for camera in configuration.cameras]

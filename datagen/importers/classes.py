@@ -40,7 +40,7 @@ def words_of(name: str) -> list[str]:
 
 
 def guess_class(*names: str, fallback: MaterialClass = "other") -> MaterialClass:
-    """Return the material class implied by the first of ``names`` with a known word.
+    """Return the material class implied by the first of ``names`` with a known word, else ``fallback``.
 
     Of several known words, the first coating (paint, lacquer) is used, else the last that is not plaster,
     paper or fabric, else the last.

@@ -86,7 +86,7 @@ class NodeValues:
         return rgb_of(node.get(key, default))
 
     def scalar(self, node: SceneNode, key: str, default: float) -> ScalarValue:
-        """Return scalar ``key``; colours are reduced to luminance, checkerboards to the mean of channels."""
+        """Return the scalar ``key``; a colour is reduced to luminance, a checkerboard to its mean channel."""
         texture = node.child(key)
         if texture is None:
             value = node.get(key, default)

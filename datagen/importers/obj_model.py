@@ -48,7 +48,7 @@ class ObjModel:
 
 @dataclass
 class _Statements:
-    """Statements of an OBJ file; of each polygon: corner count, smoothing group, and owner in ``keys``."""
+    """Statements of an OBJ file; of each polygon: corner count, smoothing group, surface (in ``keys``)."""
 
     positions: list[bytes] = field(default_factory=list)
     uvs: list[bytes] = field(default_factory=list)

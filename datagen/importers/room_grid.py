@@ -74,7 +74,7 @@ class RoomGrid:
     def build(
         cls, points: NDArray[np.float32], seeds: NDArray[np.float64], min_cell_m: float
     ) -> RoomGrid | None:
-        """Return the grid of the room that contains most ``seeds`` (K, 3), or of the largest room if K = 0.
+        """Return the grid of the room with the most ``seeds`` (K, 3), or of the largest room if K = 0.
 
         Returns None without an enclosed space. ``min_cell_m`` must exceed the spacing of the surface
         ``points`` (P, 3), or walls have holes.

@@ -72,7 +72,7 @@ def distributions(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def coverage(gathered: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Pixel counts over R and luminance of D, regions with hardly any, and shares of metal and gloss."""
+    """Pixel counts over R and luminance of D, regions almost without pixels, shares of metal and gloss."""
     cells = np.sum([shard["coverage"] for shard in gathered], axis=0)
     total = max(int(cells.sum()), 1)
     training = [shard for shard in gathered if shard["split"] == "train"]

@@ -55,6 +55,6 @@ def write_tile(path: Path, key: str, array: NDArray) -> int:
 
 
 def write_script(path: Path, before: str, data: dict[str, Any], after: str = ";") -> None:
-    """Write a script that hands ``data`` to the page: ``REPORT.`` + ``before`` + JSON + ``after``."""
+    """Write a script that passes ``data`` to the page: ``REPORT.`` + ``before`` + JSON + ``after``."""
     text = json.dumps(data, separators=(",", ":"), sort_keys=True, allow_nan=False)
     write_bytes_atomically(path, f"REPORT.{before}{text}{after}\n".encode(), parents=True)
