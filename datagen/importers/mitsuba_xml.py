@@ -169,7 +169,7 @@ class _SceneImporter(ImportJob):
         shapes.append(_Shape(node, label, mesh, file, transform, draft, emission, bsdf))
 
     def mesh_of(self, node: SceneNode, file: Path | None) -> tuple[Mesh, int]:
-        """Return a shape's memoised mesh, charged to the budget at each use, and how many normals are new."""
+        """Return a memoised mesh, charged to the budget at each use, and its number of replaced normals."""
         key = _source_of(node, file)
         if key in self.meshes:
             self.budget.spend("triangles", self.meshes[key][0].weight, node.where)

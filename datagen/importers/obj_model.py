@@ -48,7 +48,7 @@ class ObjModel:
 
 @dataclass
 class _Statements:
-    """Statements of an OBJ file; of each polygon: corner count, smoothing group, surface (in ``keys``)."""
+    """Statements of an OBJ file; of each polygon: corner count, smoothing group, number of its surface."""
 
     positions: list[bytes] = field(default_factory=list)
     uvs: list[bytes] = field(default_factory=list)

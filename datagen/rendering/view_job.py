@@ -49,7 +49,7 @@ gaps; and factor on the number of samples there, since a single sample that hits
 times as bright as the pixel."""
 QUICK_SAMPLES = 16
 """Maximum mean samples per pixel for ``quick_denoiser``. For the same error, it requires a quarter more
-samples, which take less time than the better denoiser up to this number."""
+samples; up to this maximum, tracing them takes less time than the better denoiser."""
 _FULL_COVERAGE_SLACK = 1e-5  # rounding error of a sum of float32 shares
 
 
