@@ -33,7 +33,7 @@ class MaterialSample:
     """Mean R and brightest channel of mean D (``value``) of a material, and spreads of its texels.
 
     Spreads are standard deviations: of hue in turns, of saturation and value as factors (geometric), and of
-    R. They are NaN without a texture; hue and saturation also if all texels are grey.
+    R. They are NaN without a texture; spreads of hue and saturation also if all texels are grey.
     """
 
     value: float

@@ -22,7 +22,7 @@ PREVIEW_WIDTH_PX = 64
 MIN_SHELL_PIXELS = 0.03  # minimum share of the image for a wall or ceiling to count as visible
 _WALLS: tuple[Surface, ...] = ("wall", "tiles")
 _POINTS = 400  # approximate number of surface points sampled per view
-_DEPTH_SLACK = 2e-3  # share by which visibility rays end early, so that points do not occlude themselves
+_DEPTH_SLACK = 2e-3  # visibility rays are shortened by this share, so that points do not occlude themselves
 _QUADRANTS = 4
 
 
@@ -41,7 +41,7 @@ class Shell:
 
     @cached_property
     def _label_of_face(self) -> NDArray[np.int64]:
-        """Label (M,) of each triangle: 1 for ceiling, 2 to 5 for wall by quadrant of the normal, else 0."""
+        """Label (M,) of triangles: 1 for the ceiling, 2 to 5 for walls by quadrant of the normal, else 0."""
         scene = self.scene
         parts = scene.geometries[0].asset.parts
         kinds = np.array([self.surfaces.get(part.material, "small") for part in parts])
@@ -53,7 +53,7 @@ class Shell:
         return np.where(kind == "ceiling", 1, np.where(is_wall, 2 + quarter, 0))
 
     def is_room(self, faces: NDArray[np.int64], num_pixels: int) -> bool:
-        """Return whether an image shows two walls, or a wall and the ceiling.
+        """Return whether an image shows two walls of different directions, or a wall and the ceiling.
 
         ``faces`` are the indices of the triangles that the rays of its ``num_pixels`` pixels hit.
         """
@@ -78,7 +78,10 @@ def visible_mask(camera: Camera, points: Floats, rays: RayScene) -> NDArray[np.b
 def measure(
     scene: WorldScene, shell: Shell, assigned: tuple[dict[str, MeanMaterial], ...], cameras: list[Camera]
 ) -> ViewCoverage:
-    """Measure how well ``cameras`` cover a scene; ``assigned`` maps each asset's slots to mean materials."""
+    """Measure how well ``cameras`` cover a scene.
+
+    ``assigned`` maps the slots of each of the scene's assets, the room first, to mean materials.
+    """
     previews = [preview_of(camera) for camera in cameras]
     hits: list[Hits] = []
     points: list[Floats] = []

@@ -26,7 +26,7 @@ _SUN_TRIES = 24
 
 
 def directions_of_table(rows: int = _TABLE_ROWS, columns: int = _TABLE_COLUMNS) -> Floats:
-    """Unit directions (rows, columns, 3) of an equirectangular image's pixels; centre +Y, top +Z."""
+    """Unit directions (rows, columns, 3) of equirectangular pixels, with +Y at the centre and +Z on top."""
     polar = (np.arange(rows) + 0.5) / rows * math.pi
     azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * math.pi
     sine = np.sin(polar)[:, None]
@@ -49,7 +49,7 @@ def lookup(table: Floats) -> EnvironmentMap:
 
 
 def environment_radiance(light: EnvironmentLight, library: Library) -> EnvironmentMap:
-    """Radiance of an environment as a function of world direction; images are averaged over 5.6 degrees."""
+    """Radiance of an environment by world direction; images are averaged over cells of 5.6 degrees."""
     if light.image is None:
         constant = light.scale * np.array(light.radiance)
         return lambda directions: np.broadcast_to(constant, directions.shape)
@@ -119,7 +119,7 @@ def sunsky(
 ) -> Floats:
     """Radiance (R, 3) of Mitsuba's ``sunsky`` in unit ``directions`` (R, 3).
 
-    ``sky`` and ``disc`` scale the radiance of the sky and of the sun's disc.
+    ``sun`` points towards the sun; ``sky`` and ``disc`` scale the radiance of the sky and of the sun's disc.
     """
     select_variant()
     import drjit as dr

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Finds free camera positions in an environment's camera regions, else in view of its own cameras."""
+"""Finds free camera positions in an environment's camera regions or, if it has none, near its cameras."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ _MAX_OPEN_SHARE = 0.75  # a camera is outside the room if more than this share o
 class FreeSpace:
     """Free space of a furnished environment for camera heights in [``height_m[0]``, ``height_m[1]``].
 
+    Heights are above the bottom of a camera region or, without regions, above the next surface below.
     ``rays`` contains the triangles of the environment and of its objects.
     """
 
@@ -82,7 +83,7 @@ class FreeSpace:
 
     @cached_property
     def has_consistent_winding(self) -> bool:
-        """True if triangles seen from the cameras and from above the supports are consistently wound."""
+        """True if the triangles visible from cameras and from above supports are consistently wound."""
         starts = [np.array(c.asset_from_camera)[:3, 3] for c in self.environment.cameras]
         return has_consistent_winding(self.rays, [*starts, *above_supports(self.environment)])
 
@@ -106,7 +107,7 @@ class FreeSpace:
     def points(self, count: int, clearance_m: float, draws: Draws, rejections: Counter[str]) -> Floats:
         """Draw up to ``count`` free positions (P, 3) in at most ``8 * count`` tries.
 
-        ``rejections`` counts the rest by reason. Raises :class:`InputError` if no position is free.
+        ``rejections`` counts rejected positions by reason. Raises :class:`InputError` if no position is free.
         """
         found: list[Floats] = []
         tries = 8 * count

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Generates the rooms of configurations (``environments.parametric`` of the recipe).
 
-A room is a pure function of recipe, index and attempt. It is an environment package in memory, which planning
-writes to the dataset's folder ``rooms/`` for later stages.
+A room is a pure function of the recipe, the configuration's index and the attempt at planning it. It is an
+environment package in memory, which planning writes to the dataset's folder ``rooms/`` for later stages.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class GeneratedRoom:
 
 
 def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoom | None:
-    """Generate the room for an attempt at planning configuration ``index``; None if it has a library room."""
+    """Generate the room for an attempt at planning configuration ``index``; None for a library room."""
     wanted = recipe.environments.parametric
     draws = Draws(recipe.seed, index, "parametric")
     if wanted is None or not draws.chance(wanted.share):
@@ -53,7 +53,7 @@ def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoo
 
 
 def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> GeneratedRoom | None:
-    """Generate the room of a planned configuration again; return None if it has a library room.
+    """Generate the room of a planned configuration again; return None if it uses a library room.
 
     Raises :class:`ValueError` if none of the first ``num_tries`` attempts has the room's asset id.
     """

@@ -65,7 +65,7 @@ class RayScene:
         return scene
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_distance_m: ArrayLike = np.inf) -> Hits:
-        """Find the first hits of rays from ``origins`` (R, 3) or (3,) along unit ``directions`` (R, 3)."""
+        """Cast rays from ``origins`` (R, 3) or (3,) along unit ``directions`` (R, 3) up to ``max_distance_m``."""
         directions = np.ascontiguousarray(directions, dtype=np.float64).reshape(-1, 3)
         origins = np.broadcast_to(np.asarray(origins, dtype=np.float64), directions.shape)
         count = len(directions)
@@ -111,8 +111,8 @@ class RayScene:
 class AssetGeometry:
     """All parts of an asset as one triangle soup in the asset's frame.
 
-    ``part_of_face`` (M,) are indices into ``asset.parts``. ``opaque_part`` is the mask of parts that block
-    light: those whose opacity is absent, textured, or at least 0.5.
+    ``part_of_face`` (M,) is the index of each triangle's part in ``asset.parts``. ``opaque_part`` is the mask
+    of parts that block light because their opacity is absent, textured or at least 0.5.
     """
 
     asset: GeometryAsset
@@ -292,6 +292,6 @@ class WorldScene:
         )
 
     def rows_of_faces(self, tables: list[Floats]) -> Floats:
-        """Look up a row for each triangle, (M, ...), in ``tables``: one per item, with one row per part."""
+        """Return the row of each triangle, (M, ...), in ``tables``: one table per item, with one row per part."""
         starts = np.cumsum([0] + [len(table) for table in tables[:-1]])
         return np.concatenate(tables)[starts[self.item_of_face] + self.part_of_face]

@@ -2,7 +2,7 @@
 """Sets the intensity of each group of lights by path tracing in the furnished room.
 
 The path tracer computes each group's contribution to the mean irradiance at camera positions. Each group's
-share is drawn log-uniformly; shares are normalised and multiplied by a mean irradiance drawn from the recipe.
+share is drawn log-uniformly; shares are normalised and multiplied by a mean irradiance from the recipe's range.
 Groups without contribution are dropped and counted. If the recipe has panoramas, lamps are white-balanced.
 """
 
@@ -69,7 +69,8 @@ def light_room(
 ) -> Lighting:
     """Choose the lights of a room and set their intensities; ``key`` seeds the random draws.
 
-    Raises :class:`InputError` if no light reaches the camera positions.
+    Lights that do not reach the camera positions are dropped, and counted in ``rejections``; if none is left,
+    ceiling panels replace them. Raises :class:`InputError` if these do not reach the positions either.
     """
     groups = plan_lights(room, recipe, library, key, rejections)
     probe, irradiance = _probe(room, groups, library, key)

@@ -34,7 +34,7 @@ from datagen.foundation.random import Draws
 LUMINANCE = LUMINANCE_WEIGHTS
 NUM_BOUNCES = 5
 _OFFSET_M = 1e-4  # rays start this far from a surface, as float32 positions in a room have errors of 1e-6 m
-_MAX_LIGHTS_PER_STEP = 6  # in larger groups, one light is sampled per step
+_MAX_LIGHTS_PER_STEP = 6  # of a larger group, one random light is sampled at each bounce
 _MAX_TAIL_ALBEDO = 0.9  # bounds the geometric series of albedos near 1, which would amplify a noisy estimate
 
 EnvironmentMap = Callable[[Floats], Floats]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Chooses lights, their positions and colours; ``light_levels`` sets their intensities.
 
-Lights form groups with a common intensity factor: the assets' own lights are one group; each added area or
-point light, and daylight, is another.
+Lights form groups with a common intensity factor: the assets' own lights form one group, daylight
+another, and each added area or point light one more.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ _DIRECT_SUN_PROBABILITY = 0.6
 _PANEL_DROP_M = 0.03  # a ceiling panel hangs this far below the ceiling
 _PANEL_SIDE_M = (0.3, 1.0)
 _MIN_LIGHT_CLEARANCE_M = 0.05
-_MAX_BACKS = 0.85  # a point is in a solid if more rays hit back faces; single-sheet lampshades stay below
+_MAX_BACKS = 0.85  # share of back-face hits above which a point is in a solid; lower in a lampshade
 _PANEL_TRIES = 60
 
 
 @dataclass(frozen=True)
 class PlannedGroup:
-    """Lights with a common intensity factor; ``slots``: emissive slots as (asset index, slot), 0: the room.
+    """Lights with a common intensity factor; ``slots``: emissive (asset index, slot), index 0 for the room.
 
     ``share`` is the range of the group's share of the irradiance, before the groups' shares are normalised.
     """
@@ -75,7 +75,10 @@ def plan_lights(
     key: tuple[int | str, ...],
     rejections: Counter[str],
 ) -> list[PlannedGroup]:
-    """Draw the light groups of a configuration at nominal intensity; ``key`` seeds the draws."""
+    """Draw the light groups of a configuration at nominal intensity.
+
+    ``key`` seeds the draws; ``rejections`` counts lights that could not be placed, by reason.
+    """
     draws = Draws(*key, "lights")
     wants = {
         "native": draws.chance(recipe.native_probability),

@@ -69,7 +69,7 @@ class Reach:
 
 
 def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
-    """Return the ranges of adjustments that bring a material's means into a look's ranges, or None.
+    """Return the adjustments that bring a material's means into a look's ranges; None if none does.
 
     The limits of the class are widened for untextured materials of classes with a wide range of hues.
     """
@@ -142,7 +142,7 @@ class LikelyMaterials:
         draws: Draws,
         foreign_slots: frozenset[tuple[str, str]] = frozenset(),
     ) -> dict[str, MaterialAssignment]:
-        """Draw the materials of the slots of one placed asset; omit slots that keep theirs unchanged.
+        """Draw materials for the slots of one placed asset; omit slots whose material is kept unchanged.
 
         ``surfaces`` maps each slot to its kind of surface. A slot in ``foreign_slots`` (asset id, slot) keeps
         its material only if no palette material fits. The number of draws does not depend on the palette.
@@ -225,7 +225,7 @@ def _varied(
     where: NDArray[np.float64],
     strength: float,
 ) -> ColorAdjustment:
-    """Draw a small adjustment of a slot's own material, within the first look whose ranges it can reach."""
+    """Draw a small adjustment of a slot's own material, within the first look that the material can reach."""
     if strength == 0:
         return ColorAdjustment()
     calm = Reach(

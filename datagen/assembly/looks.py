@@ -32,7 +32,7 @@ _JOINERY: tuple[Joinery, ...] = ("white", "wood", "dark")
 _JOINERY_WEIGHTS = (0.78, 0.13, 0.09)
 _ACCENTS: tuple[Interval, ...] = ((0.01, 0.11), (0.11, 0.18), (0.22, 0.45), (0.5, 0.64), (0.93, 1.0))
 _ACCENT_WEIGHTS = (0.32, 0.12, 0.24, 0.27, 0.05)
-"""Weights of the accent hues earth, ochre, green, blue and rose (ranges in turns)."""
+"""Weights of the ranges of accent hues in ``_ACCENTS`` [turns]: earth, ochre, green, blue and rose."""
 ACCENT_SPREAD = 0.03  # largest deviation from the accent hue, in turns
 
 
@@ -84,9 +84,10 @@ class Look:
     """A material class with ranges of its means: ``value``, ``saturation`` and ``hue`` (in turns; None keeps
     it) of D, ``roughness`` R, ``specular`` (brightest channel of S) and ``tint`` (saturation of S).
 
-    ``follows`` names the part of the style that replaces ranges: a wood tone or the accent hue. ``only`` is
-    the finish or joinery required of the style. Value and saturation may be divided by up to ``stain``, if it
-    exceeds the limit of the class. ``is_printed`` allows any hue in any class.
+    Looks of a surface are drawn in proportion to ``weight``. ``follows`` names the part of the style that
+    replaces ranges: a wood tone or the accent hue. ``only`` is the finish or joinery required of the style.
+    Value and saturation may be divided by up to ``stain``, if it exceeds the limit of the class.
+    ``is_printed`` allows any hue in any class.
     """
 
     weight: float
@@ -116,6 +117,6 @@ class Look:
 
 
 KEPT: dict[Surface, float] = {"cover": 0.7, "frame": 0.3, "joinery": 0.3}
-"""Probability, by kind of surface, of keeping a material that would be replaced; book covers stay varied."""
+"""Probability, by kind of surface, of keeping a material due for replacement; high to vary book covers."""
 LOOKS = read_table(__file__, "looks.yaml", dict[Surface, tuple[Look, ...]])
 """Looks by kind of surface. Surfaces without looks, such as ``small``, take any class that suits the slot."""

@@ -27,7 +27,7 @@ from datagen.foundation.random import Draws, weighted_item
 from datagen.library import Library
 
 Color = tuple[float, float, float]
-_MAX_SIDE_TEXELS = 512  # for their mean, textures are subsampled to less than twice this size
+_MAX_SIDE_TEXELS = 512  # textures are subsampled to less than twice this size before averaging
 
 
 @dataclass(frozen=True)
@@ -196,12 +196,12 @@ def assign_materials(
     draws: Draws,
     foreign_slots: frozenset[tuple[str, str]] = frozenset(),
 ) -> dict[str, MaterialAssignment]:
-    """Draw the materials of the slots of one placed asset; omit slots that keep theirs unchanged.
+    """Draw materials for the slots of one placed asset; omit slots whose material is kept unchanged.
 
     ``palette`` is the list of material packages in a fixed order. A class is drawn first, then one of its
     materials, so that large classes do not dominate. The material of a slot in ``foreign_slots`` (asset id,
-    slot) has an image of another split or is a placeholder, and must be replaced, if need be by one without
-    textures. Other slots keep their material if none fits. Slots with bakes of one material
+    slot) has an image of another split or is a placeholder, and must be replaced (by an untextured material
+    if no other fits). The remaining slots keep their material if none fits. Slots with bakes of one material
     (``baked_from``) get the same assignment.
     """
     asset = package.as_kind(GeometryAsset)
@@ -259,7 +259,7 @@ def mean_of(bakes: list[MeanMaterial]) -> MeanMaterial:
 def _drawn(
     fitting: list[Package], class_weights: Mapping[MaterialClass, float], pick: NDArray[np.float64]
 ) -> Package | None:
-    """Select a class, then a package, by ``pick`` (2,) in [0, 1); None if all class weights are 0."""
+    """Select a class, then a package, by ``pick`` (2,) in [0, 1); None if no class has a positive weight."""
     by_class: dict[MaterialClass, list[Package]] = {}
     for package in fitting:
         main_class = package.as_kind(MaterialAsset).material.classes[0]
@@ -273,7 +273,7 @@ def _drawn(
 
 
 def mean_materials(placed: PlacedAsset, library: Library, means: MeanMaterials) -> dict[str, MeanMaterial]:
-    """Map each slot of a placed asset to its mean material after assignment, adjustment and emission."""
+    """Map each slot of a placed asset to the means of its adjusted material, with the slot's emission."""
     package = library.package(placed.asset)
     asset = package.as_kind(GeometryAsset)
     assigned = {}

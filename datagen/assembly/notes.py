@@ -21,7 +21,7 @@ from datagen.library import Library
 
 
 def notes_before(recipe: Recipe, library: Library) -> list[str]:
-    """List notes on unplaceable objects, implausible sizes and skyless rooms, in one sentence each."""
+    """List notes on unplaceable objects, implausible sizes and rooms without a sky, one sentence per note."""
     never = (f"{name} is never placed: {why}" for name, why in unplaceable(recipe, library).items())
     return [*never, *implausible_sizes(recipe, library), *rooms_without_sky(recipe, library)]
 
@@ -36,7 +36,7 @@ def implausible_sizes(recipe: Recipe, library: Library) -> list[str]:
 
 
 def unplaceable(recipe: Recipe, library: Library) -> dict[str, str]:
-    """Map the ids of objects that are unstable or fit in none of the recipe's rooms to reason and remedy.
+    """Map the id of each object that is unstable or fits in none of the recipe's rooms to reason and remedy.
 
     It suffices that an object fits in a room of one of the splits that may contain it.
     """
@@ -89,7 +89,10 @@ def _why_no_surface(asset: ObjectAsset, rooms: list[EnvironmentAsset]) -> str:
 
 
 def rooms_without_sky(recipe: Recipe, library: Library) -> list[str]:
-    """Return a sentence per room without a sky on how daylight enters it; [] if the recipe has none."""
+    """Return a sentence for each room without a sky, bundled ones excepted, on how daylight enters it.
+
+    Returns [] if the recipe uses no library rooms, or neither panoramas nor daylight.
+    """
     lights = recipe.lights
     if not recipe.environments.needs_library or (
         lights.panoramas is None and not lights.daylight_probability

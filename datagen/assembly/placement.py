@@ -2,9 +2,9 @@
 """Places objects at rest on surfaces of a room, without collisions between the meshes.
 
 A candidate is an object, a surface, a scale, a yaw and a position. Rays are cast down from the object's
-underside, and it rests on the highest hit, even if the declared rectangle is slightly inaccurate. The object
+underside; the object is placed on the highest hit, even if the declared rectangle is slightly inaccurate. It
 must be stable (centre of mass above the hull of its contacts), must not intersect the room or another object
-(triangle against triangle, FCL) and must not be inside one of them.
+(triangle against triangle, FCL) and must not be inside a solid part of either.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from datagen.foundation.random import Draws
 CONTACT_TOLERANCE_M = 2e-3  # points this close to the ground count as contacts
 # objects are raised by this for collision tests, which report coplanar contact as a collision
 MAX_PENETRATION_M = 5e-4
-SURFACE_TOLERANCE_M = 0.02  # largest distance between a declared support and the mesh (a rug on the floor)
+SURFACE_TOLERANCE_M = 0.02  # largest distance between a declared support and the mesh (a rug, for instance)
 # an object whose centre of mass is nearer to the rim of the contact hull could topple
 MIN_CONTACT_MARGIN_M = 2e-3
 _MIN_UP = 0.98  # poses with a contact on ground tilted by more than 11 degrees are rejected
@@ -218,11 +218,11 @@ def place_things(
     rejections: Counter[str],
     weight_of_library: Mapping[str, tuple[str, float]] | None = None,
 ) -> list[PlacedThing]:
-    """Draw objects by weight of library and category, and place them in order of decreasing size.
+    """Draw objects by weight of library and category, and place them in order of decreasing footprint.
 
     ``weight_of_library`` maps an object's id to its library and the library's weight. ``key`` seeds the
-    draws. Raises :class:`Shortfall` if fewer than ``recipe.count[0]`` objects can be placed and
-    :class:`InputError` if no surface is large enough for any object."""
+    draws. Raises :class:`Shortfall` if fewer than ``recipe.count[0]`` objects can be placed, and
+    :class:`InputError` if that number is positive but no object can stand on any surface."""
     draws = Draws(*key, "objects")
     target = draws.integer(*recipe.count)
     if target == 0:

@@ -174,7 +174,7 @@ def _placed_assets(
 
 
 def _library_weights(recipe: Recipe, library: Library, pools: Pools) -> dict[str, tuple[str, float]]:
-    """Map object ids to (library, weight), by default 1; empty if the recipe sets no ``library_weights``."""
+    """Map object ids to library and weight (default: 1); empty if the recipe sets no ``library_weights``."""
     wanted = recipe.objects.library_weights
     if not wanted:
         return {}

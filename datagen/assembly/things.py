@@ -100,7 +100,7 @@ class Thing:
     def can_stand(self, contact_tolerance_m: float) -> bool:
         """Return whether the object is stable on level ground: its centre of mass is above its contact hull.
 
-        Contacts are points at most the tolerance higher than the lowest point, at the smallest scale.
+        Contacts are points up to ``contact_tolerance_m`` above the lowest point, at the smallest scale.
         """
         points = self.underside
         low = float(self.geometry.minimum_m[2])

@@ -45,7 +45,7 @@ _ROLL_RAD = math.radians(1.2)  # handheld cameras are not exactly level
 _SHELL_SPAN = 0.7  # a part that spans this share of the room in x or y counts as wall, floor or ceiling
 _OVERLAP_POINTS = 400
 _NUM_COMPARED = 12  # size of the random subset of eligible candidates whose most different one is chosen
-_MIN_NOVELTY = 0.04  # least difference (:func:`_difference_matrix`) of two chosen views
+_MIN_NOVELTY = 0.04  # minimum difference (:func:`_difference_matrix`) between two chosen views
 _NUM_HEADINGS = 24
 _FARTHEST_M = 8.0
 _WINDOW_DEPTH_M = 1.0  # depth assumed at windows; small, so that views of only a window are rare
@@ -53,7 +53,7 @@ _DEPTH_POWER = 3  # a heading is drawn with a probability proportional to its me
 _ROOM_PITCH_RAD, _ROOM_PITCH_SPREAD_RAD = math.radians(-7.0), math.radians(5.0)
 # overlap above this value does not raise the score of a view, which favours different views
 _ENOUGH_OVERLAP = 0.42
-_NOVELTY_WORTH, _ENOUGH_NOVELTY = 0.5, 0.6  # weight of a view's difference in its score; its cap
+_NOVELTY_WORTH, _ENOUGH_NOVELTY = 0.5, 0.6  # weight and cap of a view's difference in its score
 _ROOM_SHARE = 0.75  # share of the chosen views that show the room itself, if there are enough
 
 
@@ -78,8 +78,8 @@ class Candidate:
 class Subject:
     """Targets of cameras in a scene.
 
-    ``object_centers`` (K, 3); ``furniture_faces``: triangle indices of each piece of furniture;
-    ``content_mask``: true for the scene's instances that are objects or furniture.
+    ``object_centers`` (K, 3) are the centres of the objects' bounding boxes, ``furniture_faces`` the triangle
+    indices of each piece of furniture; ``content_mask`` is true for instances that are objects or furniture.
     """
 
     scene: WorldScene
@@ -133,7 +133,7 @@ class ViewFinder:
     num_drawn: int = field(default=0, init=False)
 
     def find(self, count: int) -> list[Camera]:
-        """Find ``count`` cameras. Raises :class:`Shortfall`, with rejection counts, if there are fewer."""
+        """Find ``count`` cameras. Raises :class:`Shortfall`, with rejection counts, if it finds fewer."""
         self.space.check()
         subject = Subject.of(self.scene)
         limit = count * self.recipe.max_attempts
@@ -257,7 +257,7 @@ class ViewFinder:
         return int(pixels[subject.content_mask].sum()) >= MIN_CONTENT_PIXELS * num_pixels
 
     def _planes(self, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Pixel counts of visible planes, in descending order; normal and offset [m] are rounded to 0.1."""
+        """Pixel counts of planes (equal normals and offsets [m], rounded to 0.1), in descending order."""
         normals = self.scene.rays.normals[faces]
         offsets = (normals * self.scene.rays.corners[faces, 0]).sum(axis=1)
         planes = np.round(np.column_stack([normals, offsets]) * 10).astype(np.int64) + 1000
@@ -316,7 +316,7 @@ class ViewFinder:
             candidate.luminance = value
 
     def _bright_enough(self, pool: list[Candidate]) -> list[int]:
-        """Return the indices of candidates of at least ``min_luminance`` times the median luminance."""
+        """Return the indices of candidates with at least ``min_luminance`` times the median luminance."""
         if not pool:
             return []
         luminance = np.array([c.luminance for c in pool])
@@ -351,8 +351,8 @@ def choose_views(
     """Choose up to ``count`` views; return their indices and the number of views that overlap too little.
 
     ``overlap`` is the pool's :func:`overlap_matrix`. At least ``min_overlap`` of the points of every chosen
-    view are visible in a view chosen before it (of the first view, in the second). Nearly identical views
-    are skipped. The number is 0 if ``count`` views are found.
+    view are visible in an earlier chosen view (for the first view: in the second). Nearly identical views are
+    skipped. The number returned is 0 if ``count`` views are found.
     """
     if count == 1:
         return ([0] if pool else []), 0
@@ -412,7 +412,7 @@ def choose_overlapping(
 
 
 def _difference_matrix(pool: list[Candidate]) -> Floats:
-    """Compute the difference (C, C) of views: distance over the extent of positions, plus angle over π."""
+    """Compute the differences (C, C) of views: distance / extent of all positions + angle / π."""
     positions = np.array([c.camera.position_m for c in pool])
     forwards = np.array([c.camera.forward for c in pool])
     extent = max(float(np.linalg.norm(positions.max(axis=0) - positions.min(axis=0))), 1e-6)
