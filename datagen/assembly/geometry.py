@@ -65,7 +65,7 @@ class RayScene:
         return scene
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_distance_m: ArrayLike = np.inf) -> Hits:
-        """Cast rays from ``origins`` (R, 3) or (3,) along unit ``directions`` (R, 3) up to ``max_distance_m``."""
+        """Cast rays of length ``max_distance_m`` from ``origins`` (R, 3) along unit ``directions`` (R, 3)."""
         directions = np.ascontiguousarray(directions, dtype=np.float64).reshape(-1, 3)
         origins = np.broadcast_to(np.asarray(origins, dtype=np.float64), directions.shape)
         count = len(directions)
@@ -292,6 +292,6 @@ class WorldScene:
         )
 
     def rows_of_faces(self, tables: list[Floats]) -> Floats:
-        """Return the row of each triangle, (M, ...), in ``tables``: one table per item, with one row per part."""
+        """Return each triangle's row, (M, ...), of ``tables``: one table per item with one row per part."""
         starts = np.cumsum([0] + [len(table) for table in tables[:-1]])
         return np.concatenate(tables)[starts[self.item_of_face] + self.part_of_face]

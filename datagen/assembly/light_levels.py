@@ -2,7 +2,7 @@
 """Sets the intensity of each group of lights by path tracing in the furnished room.
 
 The path tracer computes each group's contribution to the mean irradiance at camera positions. Each group's
-share is drawn log-uniformly; shares are normalised and multiplied by a mean irradiance from the recipe's range.
+share is drawn log-uniformly; shares are normalised and multiplied by a mean irradiance in the recipe's range.
 Groups without contribution are dropped and counted. If the recipe has panoramas, lamps are white-balanced.
 """
 

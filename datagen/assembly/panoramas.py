@@ -21,7 +21,7 @@ OUTSIDE_SHARE: dict[Daytime, tuple[float, float]] = {
     "dusk": (0.02, 0.15),
     "night": (5e-4, 4e-3),
 }
-"""Range of a panorama's share of the irradiance before shares are normalised; nights have only street lights."""
+"""Range of a panorama's share of the irradiance, before normalisation; nights have only street lights."""
 DARK: tuple[Daytime, ...] = ("dusk", "night")
 """Times of day at which lamps are always on."""
 

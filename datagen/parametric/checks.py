@@ -3,7 +3,7 @@
 
 Furniture must rest on a support and not intersect, doors must open, windows stay free, and a person must be
 able to walk from every door to the front of every cupboard. Lengths are in metres. Items are tested by the
-boxes that bound the vertices of each of their shapes (a leg, a board).
+bounding boxes of their shapes, such as a leg or a board.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ _LOW_M, _HIGH_M = 0.05, 1.85  # height range of obstacles for a walking person
 
 @dataclass(frozen=True)
 class Fault:
-    """A room's fault; ``what``: ``floats``, ``intersects``, ``outside``, ``door``, ``window`` or ``walk``."""
+    """A fault of ``item``; ``why`` is a predicate, for instance "cannot be reached".
+
+    ``what`` is ``floats``, ``intersects``, ``outside``, ``door``, ``window`` or ``walk``.
+    """
 
     what: str
     item: str
@@ -184,7 +187,10 @@ def _in_sector(box: Floats, sector: Floats, radius: float) -> bool:
 
 
 def free_cells(shell: Shell, boxes: Floats) -> NDArray[np.bool_]:
-    """Return the mask (rows along y, columns along x) of the 5 cm floor cells where a person can stand."""
+    """Return the mask (rows along y, columns along x) of the 5 cm floor cells where a person can stand.
+
+    ``boxes`` (k, 2, 3) are the bounding boxes of obstacles.
+    """
     from scipy.ndimage import distance_transform_edt
 
     columns, rows = int(shell.width / CELL_M), int(shell.depth / CELL_M)
@@ -204,7 +210,7 @@ def free_cells(shell: Shell, boxes: Floats) -> NDArray[np.bool_]:
 
 
 def walkable(shell: Shell, boxes: Floats) -> tuple[NDArray[np.bool_], str]:
-    """Return the mask (rows, columns) of the floor cells reachable from all doors, and a fault or ''."""
+    """Return the mask of the :func:`free_cells` reachable from all doors, and a fault or ''."""
     from scipy.ndimage import label
 
     free = free_cells(shell, boxes)

@@ -138,7 +138,7 @@ def rug(style: Style, draws: Draws, width: float, depth: float, is_round: bool =
 
 
 def picture(style: Style, draws: Draws, width: float, height: float, art: str) -> Item:
-    """Make a framed print with a mount; the print has the slot ``art``; z = 0 is the frame's lower edge."""
+    """Make a framed print in a mount; ``art`` is the slot of the print; z = 0 is the frame's lower edge."""
     item = Item("picture", hold="wall")
     f = draws.uniform(0.012, 0.035)
     _framed(item, "mount", (width, height), f, 0.022, (-0.012, -0.008), 0.003)

@@ -64,7 +64,7 @@ _EXTRAS: Mapping[str, Callable[[Style, Draws], Item]] = {
 def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: float) -> None:
     """Place radiators, curtains and blinds at windows, with the given probabilities.
 
-    Whether a room has curtains, blinds or neither is drawn once; radiators are drawn for each window.
+    Curtains, blinds or neither are drawn once per room, radiators for each window with a high enough sill.
     """
     draws, style = room.draws, room.style
     pick = draws.unit()
@@ -117,7 +117,7 @@ def seats(room: Furnisher, count: int) -> list[Placed]:
 
 
 def lamp_on(room: Furnisher, host: Placed, x: float = 0.0) -> Placed | None:
-    """Place a table lamp on a host, ``x`` metres to the right of its middle."""
+    """Place a table lamp on the item ``host``, ``x`` metres to the right of its middle."""
     support = host.item.supports[0]
     back = max(0.02, support.size[1] / 2 - 0.16)
     return room.on(lamps.table_lamp(room.draws, room.new_name("glow")), host, x, back)
@@ -198,7 +198,7 @@ def _free_rug(room: Furnisher, is_round: bool) -> None:
 def ceiling_light(
     room: Furnisher, kinds: Sequence[str], over: Placed | None = None, many: bool = False
 ) -> None:
-    """Place identical lamps under the ceiling: one in the middle, a row over a table, or a grid (``many``).
+    """Hang lamps of one of ``kinds``: one in the middle, a row over the table ``over``, or a grid (``many``).
 
     Raises :class:`Unfit` if none fits.
     """
@@ -257,7 +257,7 @@ def desk_place(room: Furnisher, needed: bool) -> bool:
 
 
 def wire(room: Furnisher, draws: Draws) -> None:
-    """Place a switch on the handle side of each door, else on the hinge side, and up to five sockets.
+    """Place a switch on each door's handle side or, if blocked, hinge side, and up to five sockets.
 
     Switches and sockets may be behind furniture.
     """

@@ -38,7 +38,7 @@ def bedroom(room: Furnisher) -> None:
 
 
 def childs_room(room: Furnisher) -> None:
-    """Place a bed, a shelf of toys, and a table or a tent."""
+    """Place a bed, a shelf of toys, a desk or low table, and perhaps a tent."""
     draws, style = room.draws, room.style
     room.at_wall(seating.bed(style, draws, 0.9, is_child=True), where="corner", needed=True)
     room.at_wall(storage.cube_shelf(style, draws, draws.integer(2, 4), draws.integer(2, 3)), needed=True)

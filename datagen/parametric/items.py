@@ -72,7 +72,7 @@ class Lamp:
 
 @dataclass(frozen=True)
 class LampPlace:
-    """Position of a light slot: a point or, with ``size``, a downward-facing rectangle centred there."""
+    """Place for a light that planning may add: a point or, with ``size``, a downward-facing rectangle."""
 
     at: Point
     size: tuple[float, float] | None = None
@@ -85,7 +85,7 @@ def hull_of(boxes: Floats) -> Floats:
 
 @dataclass
 class Item:
-    """A piece of furniture; the floor must be free up to ``front_m`` metres in front of it."""
+    """A piece of furniture, held by ``hold``; the floor must be free up to ``front_m`` metres in front."""
 
     name: str
     hold: Hold = "floor"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Makes lamps with realistic sizes, colour temperatures and luminous fluxes; lengths in metres.
 
-Most shades are translucent; their cloth or paper is then modelled as the emitter, instead of a bulb inside.
-Opaque shades hide their bulb from most cameras.
+Most shades are translucent, with the cloth or paper itself modelled as the emitter, without a bulb. Opaque
+shades hide their bulb from most cameras.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from datagen.foundation.random import Draws
 from datagen.parametric.items import Item, Lamp, LampPlace
 from datagen.parametric.shapes import Point, ball, box, cylinder, lathe, middles, rounded_box, tube
 
-_WARM = (2500.0, 3100.0)  # incandescent, halogen and warm LED
-_COOL = (3500.0, 5000.0)  # offices and workshops
+_WARM = (2500.0, 3100.0)  # colour temperatures of incandescent, halogen and warm LED lamps [K]
+_COOL = (3500.0, 5000.0)  # colour temperatures in offices and workshops [K]
 _THIN = 0.0025
 _TRANSLUCENT = 0.75
 """Probability that a shade is translucent."""

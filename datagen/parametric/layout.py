@@ -38,7 +38,10 @@ class Unfit(Exception):
 
 @dataclass
 class Furnisher:
-    """A room being furnished; ``zones`` are the names and boxes (2, 3) of spaces that must remain free."""
+    """A room being furnished; ``zones`` are the names and boxes (2, 3) of spaces that must remain free.
+
+    A *host* is the item relative to which another is placed.
+    """
 
     shell: Shell
     style: Style
@@ -101,7 +104,7 @@ class Furnisher:
         """Place an item if its position is valid; otherwise, return None.
 
         The item may be inside the bounds of the items ``near`` without touching their shapes (a chair under a
-        table), and inside the zones named in ``ignores``.
+        table), and inside the zones named in ``ignores``; on the item ``stands_on``, inside any zone.
         """
         trial = Placed(item, "trial", at, yaw, stands_on)
         boxes = trial.boxes()
@@ -158,7 +161,7 @@ class Furnisher:
         needed: bool = False,
         gap: float = OFF_WALL_M,
     ) -> Placed | None:
-        """Place an item with its back to a wall, preferably at the position ``where``.
+        """Place an item with its back ``gap`` metres from one of ``walls`` (or any), preferably at ``where``.
 
         Without space, returns None or, if ``needed``, raises :class:`Unfit`.
         """
@@ -182,9 +185,10 @@ class Furnisher:
         return None
 
     def in_middle(self, item: Item, needed: bool = False, spread: float = 1.0) -> Placed | None:
-        """Place an item in the middle of the room, else at random in the room's central share ``spread``.
+        """Place an item in the middle of the room or, if it does not fit there, at a random position.
 
-        Without space, returns None or, if ``needed``, raises :class:`Unfit`.
+        Positions are in the central share ``spread`` of the room. Without space, returns None or, if
+        ``needed``, raises :class:`Unfit`.
         """
         b = item.bounds
         size = b[1] - b[0]
@@ -222,7 +226,7 @@ class Furnisher:
         return self.offer(item, host.point(0.5 * (h[0, 0] + h[1, 0]), y), yaw, ignores=(host.name,))
 
     def seat(self, chair: Item, table: Placed, side: Side, offset: float, tuck: float) -> Placed | None:
-        """Place a chair at a table's side, about ``offset`` metres off its middle and ``tuck`` m under it."""
+        """Place a chair at a table's side, about ``offset`` m off its middle, ``tuck`` m under the top."""
         b, depth = table.item.bounds, -float(chair.bounds[0, 1])
         middle = b.mean(axis=0)[:2]
         half = 0.5 * (b[1] - b[0])[:2]
@@ -241,7 +245,7 @@ class Furnisher:
         )  # fmt: skip
 
     def on(self, item: Item, host: Placed, x: float, y: float) -> Placed | None:
-        """Place an item on a host's first support, ``x`` m right of its middle, ``y`` m off its rear edge."""
+        """Place an item on a host's first support, ``x`` m right of its middle, ``y`` m from its rear edge."""
         support = host.item.supports[0]
         back = support.middle[1] + support.size[1] / 2 - y
         at = host.point(support.middle[0] + x, back, support.z)

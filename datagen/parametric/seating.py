@@ -199,7 +199,7 @@ def bed(style: Style, draws: Draws, width: float, is_child: bool = False) -> Ite
 
 
 def _duvet(width: float, length: float, z: float, y: float) -> Shape:
-    """Make a blanket on a mattress with its top at ``z``, from ``y`` towards +y, overhanging the sides."""
+    """Make a blanket on a mattress whose top is at ``z``, from ``y`` towards +y, overhanging the sides."""
     s = np.linspace(-1, 1, 41)
     t = np.linspace(0, 1, 26)
     half = width / 2

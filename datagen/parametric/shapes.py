@@ -76,7 +76,7 @@ def joined(shapes: Sequence[Shape]) -> Shape:
 
 @lru_cache(maxsize=1)
 def _box_topology() -> tuple[Ints, Ints, Ints]:
-    """Return faces (44, 3) of a bevelled box and, by vertex, normal axis (24,) and corner signs (24, 3)."""
+    """Return faces (44, 3), and per vertex normal axis (24,) and corner signs (24, 3), of a bevelled box."""
     signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     axis_sign = [(a, s) for a in range(3) for s in (-1, 1)]
     vertex: dict[tuple[int, tuple[int, ...]], int] = {}
@@ -118,7 +118,7 @@ def box(size: Point, at: Point = _ORIGIN, bevel: float = 0.003, grain: int | Non
     local = corner * np.where(is_axis, half, half - r)
     normals = np.where(is_axis, corner, 0).astype(np.float64)
     uv = _box_uv(local, normals, int(np.argmax(half)) if grain is None else grain, half)
-    flat_faces = faces if r > 0 else faces[:12]  # without a bevel, its faces have no area
+    flat_faces = faces if r > 0 else faces[:12]  # the faces of a zero bevel would have no area
     return Shape(local + np.array(at) + np.array([0.0, 0.0, half[2]]), normals, uv, flat_faces)
 
 
@@ -207,7 +207,7 @@ def smooth(shape: Shape) -> Shape:
 
 
 def grid(points: Floats) -> Shape:
-    """Make a smooth sheet through points (rows, columns, 3); from the front, rows go up, columns right."""
+    """Make a smooth sheet through points (rows, columns, 3), upwards and to the right on its front."""
     along = np.linalg.norm(np.diff(points, axis=1), axis=2).mean(axis=0)
     up = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
     u, v = np.concatenate([[0.0], np.cumsum(along)]), np.concatenate([[0.0], np.cumsum(up)])
@@ -343,7 +343,7 @@ def flat(quads: Floats, is_print: bool = False) -> Shape:
 def loft(rings: Floats, caps: tuple[bool, bool] = (False, False)) -> Shape:
     """Make a smooth surface through closed rings (k, c, 3), counter-clockwise from above, lowest ring first.
 
-    For a basin, further rings run down the inside. ``caps``: True to close the first and the last ring.
+    For a basin, further rings run down the inside. ``caps``: whether to close the first and the last ring.
     """
     shapes = [grid(np.concatenate([rings, rings[:, :1]], axis=1))]
     for is_capped, ring, sign in ((caps[0], rings[0], -1.0), (caps[1], rings[-1], 1.0)):

@@ -284,7 +284,7 @@ def outside(shell: Shell, draws: Draws) -> list[Placed]:
     item = Item("outside")
     level = -shell.storey_m
     scene = draws.choice(("garden", "street", "trees"))
-    reach = 400.0  # hides Mitsuba's sky below the horizon, which is black, but for 1 degree
+    reach = 400.0  # hides all but 1 degree of Mitsuba's sky below the horizon, which is black
     ground = "asphalt" if scene == "street" else "lawn"
     item.add(ground, box((2 * reach, 2 * reach, 0.1), (0, 0, level - 0.1), 0.0, grain=0))
     for wall in sorted({w.wall for w in shell.windows}):

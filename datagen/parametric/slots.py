@@ -53,7 +53,7 @@ _FINISHED = ("frame", "legs", "shade", "slats")
 
 
 def in_metal(slot: str) -> SlotMaterial:
-    """Return the plain metal material of a slot; frames, legs, shades and slats become ``fitting``."""
+    """Return the plain metal material of a slot; frames, legs, shades and slats count as ``fitting``."""
     surface: Surface = "fitting" if slot in _FINISHED else SLOTS[slot].surface
     return Slot(surface, ("metal",), _BARE, 0.3, _METAL).material()
 

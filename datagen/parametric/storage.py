@@ -27,7 +27,7 @@ def cabinet(
 ) -> Item:
     """Make a closed cabinet of ``size`` (width, depth, height) on a plinth or legs ``foot`` metres high.
 
-    ``rows`` (with relative heights) and ``columns`` are as in :func:`fronts`; ``slots``: of body and fronts.
+    ``rows`` (with relative heights) and ``columns`` are as in :func:`fronts`; ``slots`` are for body, fronts.
     """
     w, d, h = size
     item = Item(name, front_m=0.5)

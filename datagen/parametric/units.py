@@ -27,7 +27,7 @@ COUNTER_M = 0.91
 
 
 def tap(item: Item, x: float, y: float, z: float, reach: float, height: float) -> None:
-    """Add a tap with its base at (x, y, z) and its spout towards -y."""
+    """Add a tap ``height`` metres high on (x, y, z), whose spout ends ``reach`` metres towards -y."""
     item.add("metal", cylinder(0.026, 0.045, (x, y, z - 0.001), 16, 0.004))
     arc = [
         (x, y - reach / 2 * (1 - np.cos(a)), z + height - 0.07 + 0.07 * np.sin(a))
@@ -39,7 +39,7 @@ def tap(item: Item, x: float, y: float, z: float, reach: float, height: float) -
 
 
 def sink_bowl(width: float, length: float, depth: float, at: Point) -> Shape:
-    """Make a sink bowl of ``width`` (x), ``length`` (y) and ``depth``; ``at``: middle of its rim."""
+    """Make a sink bowl of ``width`` (x), ``length`` (y) and ``depth``; ``at`` is the centre of its rim."""
     (x, y, z), radius = at, 0.05
     rings = []
     for w, d, h, r in (
