@@ -245,7 +245,7 @@ class Furnisher:
         )  # fmt: skip
 
     def on(self, item: Item, host: Placed, x: float, y: float) -> Placed | None:
-        """Place an item on a host's first support, ``x`` m right of its middle, ``y`` m from its rear edge."""
+        """Place an item on a host's first support, ``x`` m right of its middle, ``y`` m off the rear edge."""
         support = host.item.supports[0]
         back = support.middle[1] + support.size[1] / 2 - y
         at = host.point(support.middle[0] + x, back, support.z)

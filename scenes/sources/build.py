@@ -16,7 +16,7 @@ from scenes.sources.materials.graph import Graph
 from scenes.sources.objects import OBJECTS
 
 FOLDERS = {"environment": "environments", "object": "objects", "material": "materials"}
-TOLERANCE = 0.7 / 255  # mean change at which textures are enlarged: below an 8-bit step
+TOLERANCE = 0.7 / 255  # textures are reduced as far as the mean error of each channel stays below this
 SLOT_TEXTURE_PX = {"environment": 512, "object": 256}
 
 

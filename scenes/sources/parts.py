@@ -44,7 +44,7 @@ Parts = dict[str, list[dict[str, dict[str, Any]]]]
 def handle(
     z_low: float, z_high: float, r_low: float, r_high: float, reach: float, thick: float = 0.0055
 ) -> Shape:
-    """Make a vessel's handle on the +x side, with its ends inside the vessel's wall."""
+    """Make a vessel's handle on the +x side, with its ends in the wall, at radii ``r_low`` and ``r_high``."""
     middle = (z_low + z_high) / 2
     path = [(r_high - 0.004, 0, z_high), (r_high + 0.55 * reach, 0, z_high + 0.004), (r_high + reach, 0, middle + 0.25 * (z_high - z_low)),
             (r_low + 0.9 * reach, 0, middle - 0.25 * (z_high - z_low)), (r_low + 0.35 * reach, 0, z_low), (r_low - 0.004, 0, z_low + 0.002)]  # fmt: skip

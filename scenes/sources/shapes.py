@@ -106,7 +106,7 @@ def box_uvs(points: NDArray, faces: Sequence[Face], grain: int | None = None) ->
         first, second = [i for i in (0, 1, 2) if i != axis]
         if grain == second:
             first, second = second, first
-        # offset by the face's direction, so that the two ends of a board differ
+        # an offset per direction of faces, so that the two ends of a board differ
         offset = np.array([0.0, 0.37 * axis + (0.19 if normal[axis] > 0 else 0.0)])
         uvs.append(points[list(face)][:, [first, second]] + offset)
     return np.concatenate(uvs)
@@ -305,7 +305,7 @@ def tube(
 
 
 def mirrored(half: Sequence[Point]) -> list[Point]:
-    """Return ``half``, then, reversed, its mirror images in x = 0; points on the plane are not repeated."""
+    """Return ``half`` and, in reverse order, its mirror images in x = 0, without repeating points there."""
     return [*half, *[(-x, y, z) for x, y, z in half[::-1] if x]]
 
 
@@ -324,7 +324,7 @@ def _cap(ring: NDArray, outward: NDArray, radius: float) -> NDArray:
 
 
 def loft(sections: ArrayLike, capped: bool = True) -> Shape:
-    """A surface through closed rings (k, m, 3), counter-clockwise seen from the last; ``capped`` or open."""
+    """A surface through closed rings (k, m, 3), counter-clockwise seen from the last, with caps or open."""
     rings = np.asarray(sections, dtype=float)
     if capped:
         ends = []

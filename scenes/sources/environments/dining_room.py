@@ -63,7 +63,7 @@ def _dresser(room: Room) -> None:
 
 
 def _sconce(room: Room, number: int, s: float) -> None:
-    """Add a wall lamp at ``s`` along the wall, next to the mirror."""
+    """Add a wall lamp at ``s`` along the north wall, next to the mirror."""
     part = f"sconce_{number}"
     room.add("sconce", "north", s, z=1.75, part=part)
     room.point_slot(f"sconce {number}", (s, room.depth / 2 - 0.115, 1.75 + 0.15))

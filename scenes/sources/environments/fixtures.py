@@ -60,7 +60,7 @@ def tap(w: PartBuilder, part: str, slot: str, *, height: float = 0.3, reach: flo
 
 
 def wall_cupboard(w: PartBuilder, part: str, width: float, height: float, depth: float, columns: int) -> None:
-    """Add a wall cupboard with its underside at z = 0."""
+    """Add a wall cupboard of ``columns`` doors with its underside at z = 0."""
     w[part, "upper_units"] += box(
         (width, depth - 0.022, height), (0, -(depth - 0.022) / 2, 0), 0.002, grain=0
     )

@@ -62,7 +62,7 @@ def table(
     w: PartBuilder, part: str, *, size: tuple[float, float], height: float, thick: float = 0.032, leg: float,
     shelf: float = 0.0, round_corner: float = 0.0,
 ) -> None:  # fmt: skip
-    """Add a table about the z axis, in the slot named ``part``, with a shelf at height ``shelf`` if not 0."""
+    """Add a table about the z axis, in the slot named ``part``; ``shelf``: height of a shelf, 0 for none."""
     sx, sy = size
     pieces = w[part, part]
     if round_corner:

@@ -148,7 +148,7 @@ class Room:
 
     def _wall(self, wall: str) -> Shape:
         holes = self.holes(wall)
-        # north and south walls fill the corners; against light leaks, walls extend into floor and ceiling
+        # north and south walls include the corners; walls extend into floor and ceiling against light leaks
         half = self.length(wall) / 2 + (THICKNESS if wall in ("north", "south") else 0.0)
         xs = sorted({-half, half, *(v for hole in holes for v in hole[:2])})
         zs = sorted({-0.05, self.height + 0.05, *(v for hole in holes for v in hole[2:])})

@@ -52,7 +52,7 @@ def book(width: float, height: float, depth: float) -> tuple[Shape, Shape]:
 def book_row(
     w: PartBuilder, covers: tuple[str, ...], start: Point, width: float, height: float, seed: int
 ) -> None:
-    """Add a row of random books, ``width`` long, from ``start`` along x; the last book leans."""
+    """Add a row of random books of ``width`` metres from ``start`` along x; the last book leans."""
     rng, depth = np.random.default_rng(seed), 0.19
     x, y, z = start
     at = x
@@ -86,7 +86,8 @@ def cabinet(
     panelled: bool = False, top_thick: float = 0.025,
 ) -> None:  # fmt: skip
     """Add a chest, sideboard or kitchen base unit of ``size`` (width, depth, height). ``rows``: relative
-    heights of the rows of fronts, from the top; ``panelled`` adds frames and knobs; ``slot``: else ``part``.
+    heights of the rows of fronts, from the top; ``panelled`` adds frames and knobs; ``slot`` and ``top``, the
+    slots of body and top, default to ``part`` and ``slot``.
     """
     width, depth, height = size
     slot = slot or part

@@ -37,7 +37,7 @@ class Slot:
     """Default material of a slot, its classes, and the classes that may replace it.
 
     ``source`` names a library material. Without it, the function ``graph`` builds the material with a
-    :class:`Graph`, over a unique UV layout; without both, the material is constant: ``color`` (linear
+    :class:`Graph`, for a unique UV layout. With neither, the material is constant: ``color`` (linear
     Rec.709), ``roughness`` (R), ``metallic``, ``ior``.
     """
 

@@ -86,7 +86,7 @@ def speckled(
     g: Graph, color: Color, speck: Color, *, rough: float = 0.14, amount: float = 0.5, ior: float = 1.55,
     bare: Color | None = None, seed: float = 1.0,
 ) -> Material:  # fmt: skip
-    """Glaze with specks and uneven tone; ``bare``: colour of unglazed patches, None for none."""
+    """Glaze with specks and uneven tone; ``bare``: colour of unglazed patches, if any."""
     dots = g.fit(g.voronoi(36, seed=seed)["Distance"], 0.10, 0.22 + 0.1 * amount, 1.0, 0.0)
     some = g.noise(30, detail=0, seed=seed + 6) > 0.75 - 0.35 * amount
     pool = g.noise(3, detail=4, seed=seed + 2)

@@ -20,7 +20,7 @@ from scenes.sources.shapes import (
 
 
 def headphones(w: PartBuilder) -> None:
-    # modelled in the pose in which they rest on the cups
+    # modelled lying on their cups
     arch = [(0.083 * np.cos(a), 0.02 + 0.1 * np.sin(a), 0.0) for a in np.linspace(0.06, np.pi - 0.06, 15)]
     band = tube(arch, 0.006, 10).scaled(1, 1, 2.2)
     pad = tube(
