@@ -225,7 +225,7 @@ def _varied(
     where: NDArray[np.float64],
     strength: float,
 ) -> ColorAdjustment:
-    """Draw a small adjustment of a slot's own material, within the first look that the material can reach."""
+    """Return a small adjustment of a slot's own material, if possible within the ranges of a look."""
     if strength == 0:
         return ColorAdjustment()
     calm = Reach(

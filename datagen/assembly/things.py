@@ -55,7 +55,7 @@ def convex_hull_2d(points: Floats) -> Floats:
 
 
 def margin_inside(hull: Floats, point: Floats) -> float:
-    """Signed distance of a point (2,) to the edges of a hull (K, 2), negative outside; -inf if K < 3."""
+    """Signed distance of a point (2,) to the nearest edge of a hull (K, 2), < 0 outside; -inf if K < 3."""
     if len(hull) < 3:
         return -math.inf
     edges = np.roll(hull, -1, axis=0) - hull

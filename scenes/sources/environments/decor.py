@@ -48,7 +48,7 @@ def floor_lamp(room: Room, x: float, y: float, height: float = 1.55) -> None:
 def pendant(
     room: Room, x: float, y: float, drop: float, radius: float, slot_m: float, metal: str = "hardware"
 ) -> None:
-    """Add a dome lamp at (x, y), ``drop`` metres below the ceiling, and in it a square light slot ``slot_m`` wide."""
+    """Add a dome lamp ``drop`` m below the ceiling at (x, y), with a square light slot ``slot_m`` wide."""
     w, ceiling = room.builder, room.height
     z = ceiling - drop
     rose = ((0, -0.03), (0.045, -0.03), (0.055, -0.02), (0.055, 0.002), (0, 0.002))
@@ -77,7 +77,7 @@ def ceiling_light(
 
 
 def picture(w: PartBuilder, part: str, size: tuple[float, float], art: str) -> None:
-    """Add a framed picture on y = 0, centred at the origin; ``size``: of its mount, ``art``: slot of the print."""
+    """Add a framed picture on y = 0, centred at the origin, with a mount of ``size`` and the slot ``art``."""
     sx, sy = size
     b = 0.03
     at = (0, -0.012, -sy / 2 - b)
@@ -87,7 +87,7 @@ def picture(w: PartBuilder, part: str, size: tuple[float, float], art: str) -> N
 
 
 def blind(w: PartBuilder, y: float, low: float, high: float, height: float, radius: float) -> None:
-    """Add a blind 1.46 m wide, ``height`` long, at ``y``, down to ``low`` from a roll of ``radius`` at ``high``."""
+    """Add a blind 1.46 m wide, ``height`` long, with its hem at ``low`` and a roll of ``radius`` at ``high``."""
     w["blind", "blind"] += [
         box((1.46, 0.004, height), (0, y, low), 0.001, grain=2),
         tube([(-0.73, y, low), (0.73, y, low)], 0.011, 10),
