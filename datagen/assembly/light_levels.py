@@ -33,8 +33,8 @@ _NEGLIGIBLE = 1e-9  # nominal irradiance relative to the strongest group, below 
 class Lighting:
     """Lights at final intensity and, for each asset, the radiance of its emissive slots in W/(m² sr).
 
-    ``gains`` are the intensities of the groups of ``probe``, relative to nominal; ``mean_irradiance`` is at
-    the camera positions, in W/m².
+    ``gains`` are the intensities of the groups of ``probe``, relative to their nominal values;
+    ``mean_irradiance`` is at the camera positions, in W/m².
     """
 
     lights: tuple[Light, ...]

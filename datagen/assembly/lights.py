@@ -40,9 +40,10 @@ _PANEL_TRIES = 60
 
 @dataclass(frozen=True)
 class PlannedGroup:
-    """Lights with a common intensity factor; ``slots``: emissive (asset index, slot), index 0 for the room.
+    """Lights and emissive slots with a common intensity factor.
 
-    ``share`` is the range of the group's share of the irradiance, before the groups' shares are normalised.
+    ``slots`` are pairs of asset index (0: the room) and slot. ``share`` is the range of the group's share of
+    the irradiance, before the groups' shares are normalised.
     """
 
     name: str

@@ -164,7 +164,7 @@ class PlacedThing:
 
 
 class Room:
-    """An environment prepared for placement."""
+    """An environment prepared for the placement of objects."""
 
     def __init__(self, geometry: AssetGeometry):
         assert isinstance(geometry.asset, EnvironmentAsset)

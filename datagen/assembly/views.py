@@ -120,7 +120,7 @@ class Subject:
 
 @dataclass
 class ViewFinder:
-    """Finds the cameras of a configuration; ``key`` seeds draws, ``rejections`` counts rejection reasons."""
+    """Finds the cameras of a configuration; ``key`` seeds draws, ``rejections`` counts rejects by reason."""
 
     scene: WorldScene
     shell: Shell

@@ -109,7 +109,7 @@ def laundry(room: Furnisher) -> None:
 
 
 def workshop(room: Furnisher) -> None:
-    """Place a bench under a tool board, and racks."""
+    """Place a workbench under a tool board, and racks."""
     draws, style = room.draws, room.style
     bench = room.at_wall(tables.workbench(style, draws, draws.uniform(1.5, 2.3)), where="middle", needed=True)
     assert bench is not None

@@ -86,7 +86,7 @@ def spider(radius: float, z: float) -> Shape:
 
 
 def _superellipse(half_width: float, half_height: float, x: float, z: float = 0.011) -> list[Point]:
-    """Return a superellipse of exponent 2.6 about (x, 0, z), normal to x, as 20 points."""
+    """Return 20 points of a superellipse of exponent 2.6 about (x, 0, z), in the plane normal to x."""
     p = 2.6
     return [
         (

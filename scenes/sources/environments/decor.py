@@ -87,7 +87,7 @@ def picture(w: PartBuilder, part: str, size: tuple[float, float], art: str) -> N
 
 
 def blind(w: PartBuilder, y: float, low: float, high: float, height: float, radius: float) -> None:
-    """Add a blind 1.46 m wide, ``height`` long, with its hem at ``low`` and a roll of ``radius`` at ``high``."""
+    """Add a blind 1.46 m wide, ``height`` long, with its hem at ``low``, its roll (``radius``) at ``high``."""
     w["blind", "blind"] += [
         box((1.46, 0.004, height), (0, y, low), 0.001, grain=2),
         tube([(-0.73, y, low), (0.73, y, low)], 0.011, 10),
