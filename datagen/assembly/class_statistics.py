@@ -80,7 +80,7 @@ def sample_material(package: Package, material: Material, means: MeanMaterials) 
 
 
 def sample_library(library: Library) -> dict[str, list[MaterialSample]]:
-    """Measure the materials of a library that set neither emission nor opacity, grouped by main class."""
+    """Measure the materials of a library without emission and opacity, grouped by main class."""
     means = MeanMaterials()
     found: dict[str, list[MaterialSample]] = defaultdict(list)
     for package in library:

@@ -78,10 +78,7 @@ def visible_mask(camera: Camera, points: Floats, rays: RayScene) -> NDArray[np.b
 def measure(
     scene: WorldScene, shell: Shell, assigned: tuple[dict[str, MeanMaterial], ...], cameras: list[Camera]
 ) -> ViewCoverage:
-    """Measure how well ``cameras`` cover a scene.
-
-    ``assigned`` maps the slots of each of the scene's assets, the room first, to mean materials.
-    """
+    """Measure the coverage of a scene by ``cameras``; ``assigned``: mean material by slot for each asset."""
     previews = [preview_of(camera) for camera in cameras]
     hits: list[Hits] = []
     points: list[Floats] = []

@@ -26,7 +26,7 @@ _MAX_OPEN_SHARE = 0.75  # a camera is outside the room if more than this share o
 class FreeSpace:
     """Free space of a furnished environment for camera heights in [``height_m[0]``, ``height_m[1]``].
 
-    Heights are above the bottom of a camera region or, without regions, above the next surface below.
+    Heights are above the bottom of a camera region or, without regions, above the surface below the camera.
     ``rays`` contains the triangles of the environment and of its objects.
     """
 

@@ -76,10 +76,7 @@ def plan_lights(
     key: tuple[int | str, ...],
     rejections: Counter[str],
 ) -> list[PlannedGroup]:
-    """Draw the light groups of a configuration at nominal intensity.
-
-    ``key`` seeds the draws; ``rejections`` counts lights that could not be placed, by reason.
-    """
+    """Draw light groups at nominal intensity; ``key`` seeds draws, ``rejections`` counts lights left out."""
     draws = Draws(*key, "lights")
     wants = {
         "native": draws.chance(recipe.native_probability),

@@ -81,8 +81,8 @@ class RoomStyle:
 
 @dataclass(frozen=True)
 class Look:
-    """A material class with ranges of its means: ``value``, ``saturation`` and ``hue`` (in turns; None keeps
-    it) of D, ``roughness`` R, ``specular`` (brightest channel of S) and ``tint`` (saturation of S).
+    """A material class with ranges of its means: ``value``, ``saturation`` and ``hue`` (in turns; None:
+    unchanged) of D, ``roughness`` R, ``specular`` (brightest channel of S) and ``tint`` (saturation of S).
 
     Looks of a surface are drawn in proportion to ``weight``. ``follows`` names the part of the style that
     replaces ranges: a wood tone or the accent hue. ``only`` is the finish or joinery required of the style.
@@ -104,7 +104,7 @@ class Look:
     is_printed: bool = False
 
     def in_style(self, style: RoomStyle) -> Look | None:
-        """Replace the ranges that follow the style; return None if the style excludes the look."""
+        """Return the look with the ranges that follow the style; None if the style excludes it."""
         if self.only is not None and self.only not in (style.finish, style.joinery):
             return None
         plain = replace(self, follows="", only=None)

@@ -204,7 +204,7 @@ def _identifying_files(package: Package) -> list[str]:
 def _foreign_slots(pools: Pools, home: dict[str, Split]) -> frozenset[tuple[str, str]]:
     """Find slots, as (asset id, slot), of rooms and objects whose material has an image of another split.
 
-    An image belongs to the split of the first material that contains it, else of the first room or object.
+    An image belongs to the split of the first material or, if none, room or object that contains it.
     """
     hashes: dict[tuple[str, str], str] = {}
     owner: dict[str, str] = {}
@@ -231,7 +231,7 @@ def _materials(package: Package) -> dict[str, Material]:
 
 
 def check_recipe(recipe: Recipe, library: Library) -> None:
-    """Raise :class:`InputError` with all faults of a recipe for which a configuration would fail.
+    """Raise :class:`InputError` with all faults of a recipe that would make a configuration fail.
 
     These are filters and weights without a match in the library, splits without configurations or assets, a
     library without rooms, objects or materials that the recipe needs, and degenerate shapes.

@@ -3,7 +3,7 @@
 
 The declared ``surface`` of a slot takes precedence. A room's other slots are classified by the words in the
 slot's name, in the name of the material that it was baked from and in the names of its parts, then by the
-position of its triangles (low and horizontal is a floor), finally by its main class. An object's other slots
+position of its triangles (a low, level slot is a floor), finally by its main class. An object's other slots
 are classified by the slot's name and the object's category.
 """
 

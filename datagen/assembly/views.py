@@ -106,7 +106,7 @@ class Subject:
         return cls(scene, centers, furniture, is_thing)
 
     def draw(self, draws: Draws) -> Floats:
-        """Draw a target (3,): the centre of an object or of a furniture triangle, else of any triangle."""
+        """Draw a target (3,): the centre of an object or furniture triangle; without any, of a triangle."""
         pick, u = draws.unit(), draws.units(3)
         if len(self.object_centers) and (pick < 0.65 or not self.furniture_faces):
             return self.object_centers[int(u[0] * len(self.object_centers))]

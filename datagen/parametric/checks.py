@@ -29,12 +29,9 @@ _LOW_M, _HIGH_M = 0.05, 1.85  # height range of obstacles for a walking person
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of ``item``; ``why`` is a predicate, for instance "cannot be reached".
+    """A fault of kind ``what`` of the item named ``item``; ``why`` is a predicate ("cannot be reached")."""
 
-    ``what`` is ``floats``, ``intersects``, ``outside``, ``door``, ``window`` or ``walk``.
-    """
-
-    what: str
+    what: str  # floats, intersects, outside, door, window or walk
     item: str
     why: str
 

@@ -257,10 +257,7 @@ def desk_place(room: Furnisher, needed: bool) -> bool:
 
 
 def wire(room: Furnisher, draws: Draws) -> None:
-    """Place a switch on each door's handle side or, if blocked, hinge side, and up to five sockets.
-
-    Switches and sockets may be behind furniture.
-    """
+    """Place a switch by each door, if possible at its handle, and some sockets, even behind furniture."""
     shell = room.shell
     item = fittings.switch(draws.choice((1, 1, 2)))
     reach = CASING_M + _CLEAR_M + fittings.PLATE_M / 2 + draws.uniform(0.03, 0.1)

@@ -85,7 +85,7 @@ def hull_of(boxes: Floats) -> Floats:
 
 @dataclass
 class Item:
-    """A piece of furniture, held by ``hold``; the floor must be free up to ``front_m`` metres in front."""
+    """Furniture on a floor, wall, ceiling or surface (``hold``); ``front_m``: free floor needed in front."""
 
     name: str
     hold: Hold = "floor"

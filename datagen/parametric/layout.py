@@ -3,7 +3,8 @@
 
 In a valid position, an item is inside the room and clear of other furniture, swinging doors, windows and the
 floor in front of cupboards, and walking paths remain open. A required item without a valid position raises
-:class:`Unfit`; the room is then generated again from another seed.
+:class:`Unfit`; the room is then generated again from another seed. A *host* is an item relative to which
+another is placed.
 """
 
 from __future__ import annotations
@@ -38,10 +39,7 @@ class Unfit(Exception):
 
 @dataclass
 class Furnisher:
-    """A room being furnished; ``zones`` are the names and boxes (2, 3) of spaces that must remain free.
-
-    A *host* is the item relative to which another is placed.
-    """
+    """A room being furnished; ``zones`` are the names and boxes (2, 3) of spaces that must remain free."""
 
     shell: Shell
     style: Style
@@ -81,7 +79,7 @@ class Furnisher:
         return f"{name}_{self._names[name] - 1}"
 
     def take(self, item: Item, at: Point, yaw: float, stands_on: str = "") -> Placed:
-        """Place an item without checking its position (see :func:`datagen.parametric.checks.faults_of`)."""
+        """Place an item without checking its position, unlike :meth:`offer`."""
         rounded = (round(at[0], 6), round(at[1], 6), round(at[2], 6))
         placed = Placed(item, self.new_name(item.name), rounded, round(yaw, 6), stands_on)
         self.placed.append(placed)
@@ -187,7 +185,7 @@ class Furnisher:
     def in_middle(self, item: Item, needed: bool = False, spread: float = 1.0) -> Placed | None:
         """Place an item in the middle of the room or, if it does not fit there, at a random position.
 
-        Positions are in the central share ``spread`` of the room. Without space, returns None or, if
+        Random positions are in the central share ``spread`` of it. Without space, returns None or, if
         ``needed``, raises :class:`Unfit`.
         """
         b = item.bounds

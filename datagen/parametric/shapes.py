@@ -207,7 +207,7 @@ def smooth(shape: Shape) -> Shape:
 
 
 def grid(points: Floats) -> Shape:
-    """Make a smooth sheet through points (rows, columns, 3), upwards and to the right on its front."""
+    """Make a smooth sheet through points (rows, columns, 3), the first at the bottom left of its front."""
     along = np.linalg.norm(np.diff(points, axis=1), axis=2).mean(axis=0)
     up = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
     u, v = np.concatenate([[0.0], np.cumsum(along)]), np.concatenate([[0.0], np.cumsum(up)])
@@ -228,7 +228,7 @@ def without_slivers(shape: Shape) -> Shape:
 def lathe(profile: Sequence[tuple[float, float]], at: Point = _ORIGIN, segments: int = 24) -> Shape:
     """Make a body of revolution about z from a ``profile`` of (radius, height) pairs.
 
-    The profile starts at the foot and runs up the outside, then down the inside, if any. u follows it, v runs
+    The profile starts at the foot and runs up the outside, then down the inside, if any. u runs along it, v
     around z. Corners sharper than 40 degrees are not smoothed.
     """
     steps = np.array(profile, dtype=np.float64)

@@ -87,7 +87,7 @@ def picture(w: PartBuilder, part: str, size: tuple[float, float], art: str) -> N
 
 
 def blind(w: PartBuilder, y: float, low: float, high: float, height: float, radius: float) -> None:
-    """Add a blind 1.46 m wide, ``height`` long, with its hem at ``low``, its roll (``radius``) at ``high``."""
+    """Add a blind 1.46 m wide, ``height`` long, with its hem at ``low``, a roll of ``radius`` at ``high``."""
     w["blind", "blind"] += [
         box((1.46, 0.004, height), (0, y, low), 0.001, grain=2),
         tube([(-0.73, y, low), (0.73, y, low)], 0.011, 10),
@@ -149,10 +149,7 @@ def plant(
 
 
 def leaf_blade(length: float, width: float, droop: float, rows: int = 7) -> Shape:
-    """Make a pointed leaf from the origin along +x, folded along its midrib.
-
-    ``droop`` is the drop of the tip as a share of ``length``.
-    """
+    """Make a pointed leaf along +x, folded at its midrib, whose tip drops by ``droop`` times ``length``."""
     t = np.linspace(0, 1, rows)
     half = 0.5 * width * np.sin(np.pi * t**0.75) ** 0.8 * (1 - 0.25 * t) + 0.001
     across = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
