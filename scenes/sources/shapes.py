@@ -305,7 +305,7 @@ def tube(
 
 
 def mirrored(half: Sequence[Point]) -> list[Point]:
-    """Return ``half`` and, in reverse order, its mirror images in x = 0, without repeating points there."""
+    """Return ``half``, then its mirror images in x = 0 in reverse order; points on the plane occur once."""
     return [*half, *[(-x, y, z) for x, y, z in half[::-1] if x]]
 
 

@@ -77,7 +77,7 @@ def ceiling_light(
 
 
 def picture(w: PartBuilder, part: str, size: tuple[float, float], art: str) -> None:
-    """Add a framed picture on y = 0, centred at the origin, with a mount of ``size`` and the slot ``art``."""
+    """Add a framed picture on y = 0, centred at the origin, with a mount of ``size``; ``art``: its print's slot."""
     sx, sy = size
     b = 0.03
     at = (0, -0.012, -sy / 2 - b)
@@ -87,7 +87,7 @@ def picture(w: PartBuilder, part: str, size: tuple[float, float], art: str) -> N
 
 
 def blind(w: PartBuilder, y: float, low: float, high: float, height: float, radius: float) -> None:
-    """Add a blind 1.46 m wide, ``height`` long, with its hem at ``low``, a roll of ``radius`` at ``high``."""
+    """Add a blind 1.46 m wide, ``height`` long, from a roll of ``radius`` at ``high`` down to ``low``."""
     w["blind", "blind"] += [
         box((1.46, 0.004, height), (0, y, low), 0.001, grain=2),
         tube([(-0.73, y, low), (0.73, y, low)], 0.011, 10),

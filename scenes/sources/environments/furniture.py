@@ -23,7 +23,7 @@ def sofa(
     w: PartBuilder, part: str, *, width: float = 2.1, seats: int = 3, depth: float = 0.92, cover: str = "sofa", legs: str = "sofa_legs",
     cushions: tuple[str, ...] = (), seat_height: float = 0.43, seed: int = 0,
 ) -> None:  # fmt: skip
-    """Add an upholstered sofa or armchair; ``cushions``: slots of the scatter cushions."""
+    """Add an upholstered sofa of ``seats`` (1: an armchair); ``cushions``: slots of the scatter cushions."""
     arm, back = 0.19, 0.22
     inner = width - 2 * arm
     size, at = (inner + 0.02, depth - back + 0.03, 0.17), (0, -(depth + back) / 2 + 0.03, 0.11)

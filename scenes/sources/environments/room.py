@@ -251,7 +251,7 @@ class Room:
     def surface(
         self, name: str, kind: str, wall: str, s: float, width: float, near: float, far: float, z: float, clearance: float
     ) -> None:  # fmt: skip
-        """Add a support surface at height ``z``, centred at ``s``, from ``near`` to ``far`` metres off a wall."""
+        """Add a support surface at height ``z``, centred at ``s``, ``near`` to ``far`` metres off a wall."""
         origin, right, out = self.frame(wall)
         low, high = min(near, far), max(near, far)
         origin = origin + [0, 0, z] + right * (s - width / 2) - out * high
