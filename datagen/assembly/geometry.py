@@ -26,7 +26,7 @@ from datagen.foundation.meshes.ply import decode_ply
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-_MIN_COSINE = 1e-3  # below, Embree's distance is kept, since the plane equation would divide by almost 0
+_MIN_COSINE = 1e-3  # below this, Embree's distance is kept: the plane equation would divide by almost 0
 T = TypeVar("T")
 
 
@@ -52,7 +52,7 @@ class RayScene:
         cross = area_vectors(self.corners)
         length = np.linalg.norm(cross, axis=1, keepdims=True)
         self.areas = 0.5 * length[:, 0]
-        self.normals = cross / np.maximum(length, 1e-300)  # a degenerate triangle has the normal zero
+        self.normals = cross / np.maximum(length, 1e-300)  # degenerate triangles get a zero normal
         self._vertices = np.ascontiguousarray(vertices, dtype=np.float32)
 
     @cached_property

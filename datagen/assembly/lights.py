@@ -34,7 +34,7 @@ _DIRECT_SUN_PROBABILITY = 0.6
 _PANEL_DROP_M = 0.03  # a ceiling panel hangs this far below the ceiling
 _PANEL_SIDE_M = (0.3, 1.0)
 _MIN_LIGHT_CLEARANCE_M = 0.05
-_MAX_BACKS = 0.85  # share of back-face hits above which a point is in a solid; lower in a lampshade
+_MAX_BACKS = 0.85  # share of back-face hits above which a point is in a solid; lampshades stay below it
 _PANEL_TRIES = 60
 
 

@@ -33,7 +33,7 @@ from datagen.foundation.random import Draws
 MAX_NEAR_PIXELS = 0.02  # largest share of the image nearer than min_distance_m
 MAX_OPEN_PIXELS = 0.4  # largest share of the image that shows no surface or an emitter
 MIN_CONTENT_PIXELS = 0.04  # minimum share of the image covered by objects and furniture
-# largest share of the surface pixels on only three planes, which rejects views of bare corners and cupboards
+# largest share of surface pixels on the three largest planes; rejects views of bare corners and cupboards
 MAX_THREE_PLANES_PIXELS = 0.92
 MAX_PLANE_PIXELS = 0.72  # largest share of the image covered by a single plane, such as a bare wall
 _MIN_INSTANCE_PIXELS = 0.0015  # smallest share of the image for an instance to count as visible
@@ -44,7 +44,7 @@ _MAX_PITCH_RAD = math.radians(38.0)
 _ROLL_RAD = math.radians(1.2)  # handheld cameras are not exactly level
 _SHELL_SPAN = 0.7  # a part that spans this share of the room in x or y counts as wall, floor or ceiling
 _OVERLAP_POINTS = 400
-_NUM_COMPARED = 12  # size of the random subset of eligible candidates whose most different one is chosen
+_NUM_COMPARED = 12  # number of random eligible candidates, of which the most different one is chosen
 _MIN_NOVELTY = 0.04  # minimum difference (:func:`_difference_matrix`) between two chosen views
 _NUM_HEADINGS = 24
 _FARTHEST_M = 8.0

@@ -77,7 +77,7 @@ def ceiling_light(
 
 
 def picture(w: PartBuilder, part: str, size: tuple[float, float], art: str) -> None:
-    """Add a framed picture on y = 0, centred at the origin, with a mount of ``size``; ``art``: its print's slot."""
+    """Add a framed picture on y = 0, centred at the origin; ``size`` is that of its mount."""
     sx, sy = size
     b = 0.03
     at = (0, -0.012, -sy / 2 - b)
