@@ -70,7 +70,7 @@ class RoomStyle:
 
     @classmethod
     def draw(cls, draws: Draws) -> RoomStyle:
-        """Draw a style; with probability 0.5, the wood tone of the floor is that of the furniture."""
+        """Draw a style; with probability 0.5, floor and furniture have the same wood tone."""
         wood = draws.weighted(_WOODS, _WOOD_WEIGHTS)
         other = draws.weighted(_WOODS, _WOOD_WEIGHTS)
         floor = wood if draws.chance(0.5) else other

@@ -171,7 +171,7 @@ def is_assignable(material: MaterialAsset, slot: str, asset: GeometryAsset) -> b
 
 
 def is_plain(package: Package) -> bool:
-    """Return whether a package is an untextured, opaque, non-emissive material, which any slot can have."""
+    """Return whether a package is an untextured, opaque, non-emissive material, which fits any slot."""
     asset = package.asset
     if not isinstance(asset, MaterialAsset):
         return False

@@ -189,7 +189,7 @@ def _families(packages: list[Package]) -> dict[str, str]:
 
 
 def _identifying_files(package: Package) -> list[str]:
-    """Return the files that identify an asset: the largest mesh of a room or object, a material's images.
+    """Return the files that identify an asset: the largest mesh of a room or object, or a material's images.
 
     Smaller meshes (a quad, a box) are ignored, since different assets may contain equal ones.
     """

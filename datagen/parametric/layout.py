@@ -102,7 +102,7 @@ class Furnisher:
         """Place an item if its position is valid; otherwise, return None.
 
         The item may be inside the bounds of the items ``near`` without touching their shapes (a chair under a
-        table), and inside the zones named in ``ignores``; on the item ``stands_on``, inside any zone.
+        table), and inside the zones named in ``ignores``. Zones do not apply on another item (``stands_on``).
         """
         trial = Placed(item, "trial", at, yaw, stands_on)
         boxes = trial.boxes()

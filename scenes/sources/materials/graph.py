@@ -192,7 +192,7 @@ class Graph:
         self, cells_u: float, cells_v: float | None = None, feature: str = "F1", seed: Value = 0.0,
         warp: Value | None = None,
     ) -> dict[str, Output]:  # fmt: skip
-        """Return the outputs of a periodic Voronoi texture, distorted by ``warp``, by name (Distance ...)."""
+        """Return the outputs of a periodic Voronoi texture by name (Distance, ...); ``warp`` distorts it."""
         vector, w = self.torus(cells_u, cells_u if cells_v is None else cells_v, seed)
         node = self.node("ShaderNodeTexVoronoi", voronoi_dimensions="4D", feature=feature)
         self.feed(node.inputs["Vector"], vector)
