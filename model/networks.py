@@ -47,7 +47,7 @@ COLOR_STATISTICS = ("color_median", "color_max", "color_min")
 INPUTS = ("beauty", *COLOR_STATISTICS, "normal_camera", "depth", *LIGHT_BUFFERS)
 """Names of all possible inputs of a network."""
 MAX_REFLECTANCE = 2.0
-"""Recorded reflectance that is encoded as 1; highlights and lamps outside all views can raise it above 1."""
+"""Value of the buffer ``reflectance`` that is encoded as 1; unseen lamps and highlights raise it above 1."""
 
 
 class NetworkConfig(StrictModel):

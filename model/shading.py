@@ -8,8 +8,8 @@ their half vector. All directions point away from the surface and have unit leng
 vector (background) is 0. All vectors are in the same frame, which is arbitrary.
 
 The BRDF follows Walter et al. 2007, with Beckmann's distribution, the exact separable Smith term and
-Schlick's Fresnel term. Everything is differentiable, with finite gradients also at grazing angles and zero
-vectors.
+Schlick's Fresnel term. Everything is differentiable, with finite gradients even at grazing angles and for
+zero vectors.
 """
 
 from __future__ import annotations

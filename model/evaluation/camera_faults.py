@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Simulated faults of cameras, applied to rendered photographs to measure their effect on a method.
 
-The faults are applied in the order of a camera's pipeline. The lens distorts (``distortion``: the
-uncorrected k1 on normalised coordinates) and darkens the corners (``vignetting_stops``). Exposures, which
-methods do not receive, vary between images with a standard deviation of ``exposure_stops``. Photon noise
-(``white_electrons`` at saturation) and read noise (``read_electrons``) are added. Values above saturation
-are clipped: ``clipped_share`` of all pixels of all images at the common exposure. A tone curve steeper than
-sRGB's (``contrast``) encodes the image in ``bits``, optionally followed by JPEG of quality ``jpeg``. It is
-decoded as sRGB from 8 bits and as linear values from 14, as in ``materials infer``. Camera poses have errors
-of ``pose_mm`` along each axis and ``pose_deg`` about a random axis (standard deviations), and the mesh has
-the errors of ``geometry`` unless the method defines others.
+The faults are applied in the order of a camera's pipeline. The lens distorts (``distortion``: the uncorrected
+k1 on normalised coordinates) and darkens the corners (``vignetting_stops``). Exposures, which methods do not
+receive, vary between images with a standard deviation of ``exposure_stops``. Photon noise
+(``white_electrons`` at saturation) and read noise (``read_electrons``) are added. Values above saturation are
+clipped; before exposures vary, this is the share ``clipped_share`` of the pixels of all images. Values of 14
+``bits`` are linear; others are encoded by a tone curve steeper than sRGB's (``contrast``), in 8 bits or
+unquantised, optionally compressed as JPEG of quality ``jpeg``, and decoded as sRGB, as in ``materials
+infer``. Camera poses have errors of ``pose_mm`` along each axis and ``pose_deg`` about a random axis
+(standard deviations), and the mesh has the errors of ``geometry`` unless the method defines others.
 """
 
 from __future__ import annotations

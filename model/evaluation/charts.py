@@ -25,7 +25,7 @@ MSE = (1e-4, 1.0)
 RMSE = (5e-3, 1.0)
 """Range of the logarithmic axes of the confidence chart."""
 _LABEL_PX, _PANEL_PX, _GAP_PX, _LINE_PX, _TOP_PX = 104, 148, 36, 9, 52
-_LABEL_LINES_PX = 28  # name of the scene and of the camera
+_LABEL_LINES_PX = 28  # height of the names of scene and camera
 _INK = "#1d2127"
 _TICKS = (0.01, 0.1, 1.0)  # of the confidence chart, like the sizes below
 _AXES_PX, _AXES_HEIGHT_PX, _AXES_GAP_PX, _LEFT_PX, _AXES_TOP_PX, _BOTTOM_PX = 290, 140, 40, 34, 48, 26

@@ -337,7 +337,7 @@ def _per_view(scene: OpenedScene, folder: Path) -> MapMeasures:
 
 
 def _map_results(stage: str, measures: MapMeasures, earlier: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Fields of :class:`MethodResult` for the maps of a stage, together with the ``earlier`` fields."""
+    """Fields of :class:`MethodResult` for the maps of a stage, merged with those of ``earlier`` stages."""
     found = earlier or {}
     return {
         f"maps_{stage}": measures.mse(),

@@ -86,7 +86,7 @@ class Difference:
 
     @property
     def is_insignificant(self) -> bool:
-        """Whether the difference is below two standard errors."""
+        """True if the difference is at most two standard errors, or NaN."""
         return not abs(self.this - self.other) > SURE * self.error
 
 

@@ -40,7 +40,7 @@ Tell = Callable[[str, int, int], None]
 OWN, MODIFIED, INSERTED = "own", "modified", "inserted"
 RECOVERED = "recovered"
 """Name of the light recovered by a method; its truth is rendered under the scene's own light."""
-RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's seed, used for the photographs
+RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's seed, the photographs' own
 _REVISION = 2
 """Revision of atlases and renderings; cached ones of another revision are computed again."""
 _GEOMETRY = 2
@@ -55,7 +55,7 @@ class OpenedScene:
 
     ``sceneries``, ``truth`` (true views by name), ``exposures``, and ``renders`` (folders of true views that
     are not in the capture) are by light. ``root`` is the folder of results; ``figure_views`` are the views in
-    pictures, by set; ``modified_gain`` scales the scene's own lights under modified light.
+    pictures, by set (input, novel); ``modified_gain`` scales the scene's own lights under modified light.
     """
 
     recipe: TestScene

@@ -127,7 +127,7 @@ def sheet(rows: list[Row], columns: tuple[str, ...], *, is_turned: bool) -> NDAr
         across, down = down, across
     sizes = [p.pixels.shape[:2] for line in table for p in line if p is not None]
     height, width = max(s[0] for s in sizes), max(s[1] for s in sizes)
-    zoom = max(1, 240 // width)  # very small views are not interpolated
+    zoom = max(1, 240 // width)  # enlarges very small views by repeating pixels
     height, width = height * zoom, width * zoom
     canvas = np.full(
         (_LABEL_PX + len(down) * (height + _GAP_PX), _LEFT_PX + len(across) * (width + _GAP_PX), 3),

@@ -119,7 +119,7 @@ def merged_confidence(folder: Path, cameras: Mapping[str, Camera]) -> dict[str, 
 
 
 def recovered_sceneries(scene: OpenedScene, asset: Path) -> dict[str, Scenery]:
-    """Sceneries of the package ``asset``: one for each light of the scene, one for recovered lights."""
+    """Sceneries of the package ``asset`` by light: each light of the scene, and recovered lights, if any."""
     parts, sceneries = scene.capture.geometry.parts, {}
     lamps = {name for part in parts if (name := light_of_part(part.name)) is not None}
     for light, truth in scene.sceneries.items():

@@ -71,9 +71,9 @@ class MethodResult(StrictModel):
 class SceneResult(StrictModel):
     """Results of all methods on a scene.
 
-    ``exposures``: factor by light; ``figure_views``: view in the pictures, by set; ``renders``: folders, by
-    light, of true views that are not in the capture; ``path_samples``: mean number of light paths per pixel
-    of the photographs.
+    ``exposures``: exposure factor of all images under a light, by light; ``figure_views``: name of the view
+    in pictures, by set of views; ``renders``: folders of true views, by light, if these are not in the
+    capture; ``path_samples``: mean number of light paths per pixel of the photographs.
     """
 
     name: Slug

@@ -117,7 +117,7 @@ class PreparedScene(PlannedScene):
     """A rendered test scene.
 
     ``capture`` is a shard for :func:`model.reconstruction.captures.read.read_capture`, with the true maps of
-    every view; ``input_names`` and ``novel_names`` divide the capture's views.
+    every view; ``input_names`` and ``novel_names`` are the names of its photographs and novel views.
     """
 
     capture: Path

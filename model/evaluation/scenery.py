@@ -133,7 +133,7 @@ def _dimmed(placed: PlacedAsset, library: Library, gain: float) -> PlacedAsset:
 def added_lights(
     modified: ModifiedLight, geometry: CaptureGeometry, cameras: Sequence[Camera]
 ) -> list[Light]:
-    """Lights that ``modified`` adds; "ceiling" is above the camera nearest to the mean of ``cameras``."""
+    """Lights that ``modified`` adds; the lamp "ceiling" is above the most central of ``cameras``."""
     if modified.lights != "ceiling":
         return list(modified.lights)
     positions = np.array([camera.position_m for camera in cameras])

@@ -61,7 +61,7 @@ _COMPARING = "render and compare"
 
 @dataclass(frozen=True)
 class Table:
-    """A table whose ``rows`` have a cell per column, None if empty; ``columns`` are decimals by title."""
+    """A table. ``columns``: number of decimals by title; ``rows``: a cell per column, None if empty."""
 
     name: str
     title: str
@@ -140,7 +140,7 @@ def _lettered(template: str, digits: int) -> dict[str, int]:
 
 
 def _published(scene: SceneResult) -> dict[str, Any]:
-    """Figures of the paper for a scene; empty if there are none."""
+    """Figures of Prakash et al. 2022 for a scene; empty if there are none."""
     found: dict[str, Any] = _PUBLISHED["scenes"].get(scene.name, {})
     return found
 

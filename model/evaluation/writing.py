@@ -50,7 +50,7 @@ def _hash_of(result: SuiteResult) -> str:
 
 
 def is_written(result: SuiteResult, out: Path) -> bool:
-    """Whether the folder ``out`` contains the files of ``result``."""
+    """Return whether the folder ``out`` contains all files of ``result``."""
     state = _read_state(out)
     return state.result == _hash_of(result) and all((out / file).is_file() for file in state.files)
 

@@ -58,7 +58,7 @@ class PerceptualConfig(StrictModel):
     vgg: Path | None = None
     """File of VGG16's weights; None searches the weights folder and torch hub's cache."""
     heads: Path | None = None
-    """File of E-LPIPS' 14 heads; None searches the weights folder, else LPIPS' five heads are used."""
+    """File of E-LPIPS' 14 heads; None searches the weights folders and falls back to LPIPS' five heads."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Precision of VGG16's activations."""
 

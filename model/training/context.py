@@ -92,7 +92,7 @@ class TrainingContext:
         return CropOrder(len(self.data.train), data.crops_per_view, data.block_views, seed), seed
 
     def plan(self, index: int, start: int, stop: int | None = None) -> BatchPlan:
-        """Micro-batches of this rank in phase ``index``, for the steps [start, stop) (None: endless)."""
+        """Micro-batches of this rank in phase ``index``, for the steps [start, stop), or endless without stop."""
         config, ranks = self.config, self.ranks
         order, _ = self.order(index)
         return BatchPlan(order, config.batch_size, config.accumulation, ranks.index, ranks.count, start, stop)

@@ -61,8 +61,8 @@ def timed_step(phase: Phase, batch: dict[str, Tensor], key: int, watch: Stopwatc
 def predicted_step(phase: Phase, config: TrainingConfig, device: torch.device) -> tuple[float, int]:
     """Predict the seconds of a step with a whole batch; also return the largest timed number of crops.
 
-    One crop is timed, then as many as fit 3 s (at most the batch); the difference separates the cost
-    per crop from the fixed cost of a step.
+    One crop is timed, then as many as fit into 3 s (at most the batch); the difference separates the cost per
+    crop from the fixed cost of a step.
     """
 
     def fastest(crops: int) -> float:

@@ -20,7 +20,7 @@ from datagen.foundation.peak_memory import num_threads
 from model.reconstruction.atlas.texels import TexelSurface
 
 MAP_CHANNELS = {name: BUFFERS[name].num_channels for name in MATERIAL_MAPS}
-"""Number of channels of each merged map, in the order of packed arrays (..., 7), which contain all maps."""
+"""Number of channels of each merged map; a packed array (..., 7) concatenates the maps in this order."""
 MAP_COLUMNS = {
     name: slice(end - MAP_CHANNELS[name], end)
     for name, end in zip(MAP_CHANNELS, accumulate(MAP_CHANNELS.values()), strict=True)
@@ -39,7 +39,7 @@ class Atlas:
 
     ``maps``: arrays (N, N, 3 or 1) in [0, 1] by name, 0 at unobserved texels until they are filled; ``count``
     (N, N): number of views merged in each texel; ``face`` (N, N): index of the texel's triangle, or -1;
-    ``confidence`` (N, N, 3): confidence of D, S and R, 255 if determined by known light; None if unknown.
+    ``confidence`` (N, N, 3): confidence of D, S and R, 255 if fully determined by recorded light, or None.
     """
 
     maps: dict[str, NDArray]
@@ -87,7 +87,8 @@ def empty_atlas(size: int, folder: Path | None = None, *, has_confidence: bool =
 
 
 def put_confidence(atlas: Atlas, surface: TexelSurface, confidence_at: ConfidenceAt) -> None:
-    """Set ``atlas.confidence`` at observed texels. Raises :class:`ValueError` if it is None."""
+    """Set ``atlas.confidence`` at observed texels to ``confidence_at`` of their points and normals on
+    ``surface``. Raises :class:`ValueError` if the atlas has no array of confidence."""
     target = atlas.confidence
     if target is None:
         raise ValueError("expected an atlas with confidence")

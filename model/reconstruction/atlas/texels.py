@@ -52,10 +52,10 @@ class TexelSurface:
         *,
         is_highest: bool = True,
     ) -> NDArray[np.int32]:
-        """Find the triangle index (height, width), or -1, at each texel of a rectangle, sampled at ``offset``
-        (x, y) in [0, 1] within the texel.
+        """Find the index of the triangle at each texel of the rectangle at (``left``, ``top``): (height,
+        width), -1 for none. Texels are sampled at ``offset`` (x, y) in [0, 1] from their upper left corner.
 
-        Where triangles overlap, the index is the highest or, without ``is_highest``, the lowest.
+        Where triangles overlap, the highest index is returned or, if not ``is_highest``, the lowest.
         """
         face = np.full((height, width), -1, np.int32)
         _rasterise(self.uv, self.vertices, self.size, *self._bins, left, top, *offset, is_highest, face)
@@ -109,7 +109,7 @@ def _add_to_bins(uv: Any, vertices: Any, size: Any, num_bins: Any, ends: Any, me
     """Append each triangle to its bins in ``members`` and advance the bins' ``ends``; with empty ``members``,
     only advance ``ends`` (a counting pass).
     """
-    for face in range(len(vertices)):  # in ascending order, which also holds within each bin
+    for face in range(len(vertices)):  # in ascending order, so the triangles of each bin are sorted
         first_x, last_x, first_y, last_y = _face_bins(uv, vertices, face, size, num_bins)
         for row in range(first_y, last_y + 1):
             for column in range(first_x, last_x + 1):
@@ -190,7 +190,7 @@ def _rasterise(
 def surface_point(face: Any, x: Any, y: Any, size: Any, uv: Any, vertices: Any, positions: Any) -> Any:
     """Compute the world position (x, y, z) of the point of triangle ``face`` at texel coordinates (x, y).
 
-    ``size`` is the atlas's side in texels; ``vertices`` (M, 3) are indices in ``uv`` and ``positions``.
+    ``size`` is the atlas's side in texels; ``vertices`` (M, 3) are indices into ``uv`` and ``positions``.
     """
     i, j, k = vertices[face, 0], vertices[face, 1], vertices[face, 2]
     ax, ay = corner(uv, i, size)

@@ -3,9 +3,9 @@
 
 A source of radiance L, area A and vector area V (the sum of its triangles' areas times their normals) has the
 intensity L (max(V.w, 0) + (A - |V|) / 4) in direction w, which is exact for a rectangle, and for a closed
-convex surface on average over directions. It is at the centroid of the area. If there are too many sources,
-the two nearest are merged repeatedly, which preserves the sum of A L. Environments, spotlights and
-directional lights are omitted.
+convex surface on average over directions. It is at the centroid of the area. While there are too many
+sources, the two nearest are merged, which preserves the sum of A L. Environments, spotlights and directional
+lights are omitted.
 """
 
 from __future__ import annotations

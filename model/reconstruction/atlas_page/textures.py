@@ -2,8 +2,8 @@
 """Converts material channels to 8-bit images for the page, with at most ``max_side`` texels per side.
 
 A material has three images. D and S are sRGB-encoded. The third contains R in red, the state of the atlas in
-green (255 observed or unknown, 128 filled), and the minimum confidence of D, S and R in blue (0 if unknown).
-Row 0 is at v = 1. Larger images are averaged down.
+green (255 observed or unknown, 128 filled, 0 without a surface), and the minimum confidence of D, S and R in
+blue (0 if unknown). Row 0 is at v = 1. Larger images are downsampled by averaging.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class PageImage:
     original_side: int
 
     def png(self, max_side: int | None = None) -> bytes:
-        """Encode the image as PNG, averaged down to sides of at most ``max_side`` if given."""
+        """Encode the image as PNG, downsampled to at most ``max_side`` texels per side if given."""
         is_color = self.kind != "rough"
         return encode_png(
             self.pixels if max_side is None else shrunk(self.pixels, max_side, is_color=is_color)
@@ -45,7 +45,7 @@ class PageImage:
 
 
 def shrunk(pixels: NDArray[np.uint8], max_side: int, *, is_color: bool) -> NDArray[np.uint8]:
-    """Average an image (H, W, C), sRGB-encoded if ``is_color``, down to sides of at most ``max_side``."""
+    """Downsample an image (H, W, C), sRGB-encoded if ``is_color``, to sides of at most ``max_side``."""
     longest = max(pixels.shape[:2])
     if longest <= max_side:
         return pixels

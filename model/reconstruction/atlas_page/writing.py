@@ -4,7 +4,7 @@
 index.html *.css *.js     the page and the library three.js
 data/scene.js             meshes, lights, cameras, and materials without their images
 data/preview.js           all images with at most 1024 texels per side, for a quick first picture
-data/<material>-<kind>.js larger images, with at most ``max_side`` texels per side
+data/<material>-<kind>.js images larger than the preview, with at most ``max_side`` texels per side
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ def write_view(
     max_side: int = MAX_SIDE,
     progress: Advance = no_advance,
 ) -> ViewResult:
-    """Write the page of an asset package, or of an output folder of ``materials infer``, to ``out``.
+    """Write the page of an asset package, or of an output folder of ``materials infer``, to ``out``, with
+    images of at most ``max_side`` texels per side.
 
     The mask of observed texels and the confidence are read from the folder ``atlas`` next to the package, if
     present. Raises :class:`InputError` for other input, or if ``out`` contains other files.

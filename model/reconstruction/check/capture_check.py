@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Checks whether the mesh of a capture fits its photographs.
 
-In each view, it checks the visible mesh (coverage, back faces, distance), black or clipped photographs, and
-the shift between the edges of mesh and photograph (``check.edges``). Over all views, it checks whether a
+In each view, it checks the visible mesh (coverage, back faces, distance), the photograph (black, clipped) and
+the shift between the edges of both (``check.edges``). Over all views, it checks whether a
 common offset and scale of the mesh explain the shifts (``check.judgement``) and, if edges do not match at
 all, whether another up axis or unit fits better. Every warning names its views and a remedy.
 """
@@ -85,7 +85,7 @@ def check_views(
 
 
 def _try_other_frames(report: CheckReport, capture: Capture, edge_views: Sequence[EdgeView]) -> None:
-    """Try other up axes and units on some views; warn that the mesh does not fit, with the best, if any."""
+    """Try other up axes and units of the mesh on some views; warn of the bad fit, and name the best one."""
     step = max(1, len(edge_views) // _MAX_TRIED_VIEWS)
     chosen = edge_views[::step][:_MAX_TRIED_VIEWS]
     in_file = z_up_from(capture.mesh_up).T

@@ -102,7 +102,7 @@ def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
 
 
 def _plane_gap(z: NDArray, other: NDArray, normal: NDArray, ray: NDArray, other_ray: NDArray) -> NDArray:
-    """Compute the relative difference of a neighbour's depth ``other`` from a pixel's tangent plane there."""
+    """Compute a neighbour's distance from a pixel's tangent plane along its ray, relative to its depth."""
     across = (normal * other_ray).sum(axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         expected = z * (normal * ray).sum(axis=-1) / across
@@ -162,7 +162,7 @@ def match_edges(
 
 
 def _scores_off_peak(scores: NDArray[np.float64]) -> tuple[float, float]:
-    """Compute the median and standard deviation of the scores of shifts far from the best."""
+    """Compute the median and a robust standard deviation of the scores of shifts far from the best one."""
     peak = np.array(np.unravel_index(int(scores.argmax()), scores.shape))
     rows, columns = np.indices(scores.shape)
     others = scores[np.hypot(rows - peak[0], columns - peak[1]) > _PEAK_RADIUS_PX]
@@ -213,7 +213,8 @@ def _warped(
 
 
 def _best(at: tuple[float, ...], gains: list[float], neutral: float) -> tuple[float, float]:
-    """Return the value of highest gain, refined by a parabola, and its gain; ``neutral`` has the gain 0."""
+    """Return the value in ``at`` of the highest of ``gains``, refined by a parabola, or ``neutral`` (gain 0);
+    also return its gain."""
     values, heights = np.array([*at, neutral]), np.array([*gains, 0.0])
     order = np.argsort(values)
     values, heights = values[order], heights[order]

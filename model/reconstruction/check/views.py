@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Views and results of the check, per view and per capture."""
+"""Views as input of the check, and its results for a view and for a capture."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from model.reconstruction.check.edges import (
 
 MIN_COVERAGE = 0.05  # minimum share of pixels that show the mesh
 MAX_CLIPPED = 0.5
-_NEAR_M, _MAX_NEAR = 0.05, 0.5  # a camera is in a wall if more than this share of the mesh is nearer
+_NEAR_M, _MAX_NEAR = 0.05, 0.5  # a camera is in a wall if over _MAX_NEAR of the visible mesh is nearer
 SEARCH_RAD = np.radians(3.5)  # maximum rotation error of a camera in the search
 _MIN_RADIUS_PX = 24  # ensures enough other shifts to distinguish a peak from chance
 TOLERANCE_RAD, _TOLERANCE_PX = np.radians(0.35), 1.5

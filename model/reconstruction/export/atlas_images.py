@@ -89,9 +89,10 @@ def write_atlas_images(
     has_exr: bool = True,
     progress: Advance = no_advance,
 ) -> list[Path]:
-    """Write ``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``; return the paths.
+    """Write ``NAME.png`` and, with ``has_exr``, ``NAME.exr`` (half floats) of every map, and ``mask.png``.
 
     The confidence of D, S and R, if known, is written to ``confidence.png`` and ``.exr`` as R, G and B.
+    Returns the paths.
     Images of an earlier atlas that are not replaced are removed.
     """
     folder.mkdir(parents=True, exist_ok=True)

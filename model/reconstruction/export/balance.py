@@ -29,7 +29,7 @@ from model.reconstruction.export.slots import Reconstruction
 from model.reconstruction.found_lights import SKY, SUN, Color, FoundLights, RadianceSamples, as_color
 
 PATHS, MAX_DEPTH = 256, 24
-"""Light paths per sample and light, and their maximum number of segments."""
+"""Light paths per sampled pixel and light, and their maximum number of segments."""
 MAX_LIGHTS = 24
 """Maximum number of gains; the least powerful lights share the last one."""
 NOISE, FLOOR = 0.3, 0.1

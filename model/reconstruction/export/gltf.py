@@ -109,8 +109,7 @@ def emissive(material: dict[str, Any], radiance: Color) -> dict[str, Any]:
 def punctual_lights(reconstruction: Reconstruction) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return glTF point lights for small lamps and a directional light for the sun, and their nodes.
 
-    A convex lamp of area A and radiance L has a mean intensity of L A / 4, since its mean projected area is A
-    / 4.
+    A convex lamp of area A and radiance L has a mean intensity of L A / 4: its mean projected area is A / 4.
     """
     lights: list[dict[str, Any]] = []
     nodes: list[dict[str, Any]] = []

@@ -267,7 +267,7 @@ class _Stage:
         _set_radiance(UsdLux.LightAPI(made.GetPrim()), color)
 
     def _path(self, name: str) -> str:
-        """Return a unique path for a mesh or light, since names of lights may be equal as identifiers."""
+        """Return a unique path for a mesh or light, since different names may give the same identifier."""
         identifier = unique(_identifier(name), self._names)
         self._names.add(identifier)
         return f"{ROOT}/{identifier}"

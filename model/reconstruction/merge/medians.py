@@ -22,7 +22,7 @@ SIDE = 8
 """Side in texels of a square; a square has LANES texels."""
 NUM_CHANNELS = 7
 PACKET = 8
-"""Floats per pixel: D (3), S (3), R (1) and the index of the smooth region (1)."""
+"""Floats per pixel: D (3), S (3), R (1) and the index of the smooth region, bounded by creases (1)."""
 CAMERA = 19
 """Floats per camera: camera_from_world (9, by rows), centre (3), fx, fy, cx, cy, width, height, maximum
 depth."""

@@ -141,11 +141,11 @@ class MergeOptions:
 
 
 class MapMerger:
-    """Merges the maps of ``views``, without interpolation across smooth regions (bounded by creases) if
-    ``region_of_face`` (M,) is given.
+    """Merges the maps of ``views``.
 
-    ``scene`` is required for visibility by shadow rays. Raises :class:`InputError` for maps that do not match
-    their cameras, and for missing views, scene or confidence.
+    ``region_of_face`` (M,): smooth region (bounded by creases) of each triangle; if given, values are
+    not interpolated between regions. ``scene`` is required for visibility by shadow rays. Raises
+    :class:`InputError` for maps that do not match their cameras, and for missing views, scene or confidence.
     """
 
     def __init__(

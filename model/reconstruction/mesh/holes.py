@@ -2,10 +2,10 @@
 """Finds holes of a reconstructed mesh, and fills those in which photographs show a continued surface.
 
 A hole is a simple cycle of boundary edges whose filling has about the normal of the surrounding surface,
-unlike at rims of vessels and outlines of open parts. Through a window, photographs show a surface at another
-depth, or light: views disagree about the radiance of a point on the filling, or it is much brighter than the
-surrounding surface. Such openings are left open. Holes visible in fewer than two views are filled if they are
-too small for windows: their surface was not reconstructed, and daylight would leak in.
+which excludes rims of vessels and outlines of open parts. Through a window, photographs show a surface at
+another depth, or light: the radiance of a point on the filling differs between views, or is much higher than
+that of the surrounding surface. Such openings are left open. Holes visible in fewer than two views are filled
+if they are too small for windows: their surface was not reconstructed, and daylight would leak in.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Hole:
-    """A hole: welded vertex indices ``loop`` (N,), in the order of the filling's triangles, and the triangles
-    ``around`` (N,) at its edges."""
+    """A hole: the welded vertices ``loop`` (N,) on its border, in the winding order of the filling, and the
+    triangles ``around`` (N,) at its edges, both as indices."""
 
     loop: Ints
     around: Ints
@@ -79,7 +79,7 @@ def find_holes(mesh: Mesh, is_ignored: NDArray[np.bool_]) -> list[Hole]:
 
 
 def _boundary(corners: Ints, num_vertices: int) -> tuple[Ints, Ints, Ints]:
-    """Return start, end and triangle (E,) of the boundary edges of triangles (M, 3), reversed."""
+    """Return start and end vertex and triangle (E,) of the reversed boundary edges of ``corners`` (M, 3)."""
     start = corners.ravel()
     end = np.roll(corners, -1, axis=1).ravel()
     forward, backward = start * num_vertices + end, end * num_vertices + start
@@ -216,7 +216,7 @@ def _medians(values: Floats) -> Floats:
 
 
 def _points_on(triangles: Floats, random: np.random.Generator) -> Floats:
-    """Draw NUM_POINTS points (P, 3) on triangles (K, 3, 3), by area."""
+    """Draw NUM_POINTS points (P, 3) uniformly over the area of triangles (K, 3, 3)."""
     area = np.linalg.norm(area_vectors(triangles.astype(np.float64)), axis=1) + 1e-12
     chosen = triangles[random.choice(len(area), NUM_POINTS, p=area / area.sum())]
     shares = random.dirichlet(np.ones(3), NUM_POINTS)

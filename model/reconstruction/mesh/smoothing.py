@@ -61,7 +61,7 @@ def noise_deg(mesh: Mesh) -> float:
 
 
 def smoothed(mesh: Mesh, is_fixed: NDArray[np.bool_], progress: Advance = no_advance) -> Mesh:
-    """Return ``mesh`` without noise and without normals; vertices of the triangles ``is_fixed`` (M,) stay."""
+    """Return ``mesh`` denoised and without normals; vertices of triangles ``is_fixed`` (M,) do not move."""
     positions, vertex = welded(mesh)
     moved = positions.astype(np.float64)
     faces = vertex[mesh.faces]

@@ -71,8 +71,7 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
 
 
 def _batches(capture: Capture, size: int) -> list[list[int]]:
-    """Group consecutive views of equal size into batches of at most ``size`` indices, fewer if they are
-    large.
+    """Group consecutive views of equal size into batches of at most ``size`` indices, fewer for large views.
 
     Batches do not depend on stored maps, since convolutions round differently for other batch sizes.
     """

@@ -61,7 +61,8 @@ class RelightOptions:
 
     ``sky`` (an environment map in EXR, or a constant radiance) and ``lamps`` replace the asset's lights.
     ``views`` are names of the asset's cameras, empty for all; ``cameras`` replace the asset's cameras and are
-    named ``frame-000``, .... ``compensation`` multiplies the exposure of PNG images and animations.
+    named ``frame-000`` etc. ``samples`` are light paths per pixel, of at most ``max_depth`` segments.
+    ``compensation`` multiplies the exposure of PNG images and animations.
     """
 
     sky: Path | tuple[float, float, float] | None = None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Divides a mesh into charts that face one direction, and projects each onto its plane.
+"""Divides a mesh into charts, each facing about one direction, and projects each onto a plane.
 
 A chart grows from the largest unassigned triangle over shared edges while normals are within a cone around
 its mean normal. xatlas' own charts, which minimise stretch, have only one or two triangles each on ornaments
@@ -111,7 +111,7 @@ def _grow_charts(
     chart: Ints,
     num: int,
 ) -> int:
-    """Grow charts numbered from ``num`` over triangles of ``chart`` -1, in place; return the new ``num``."""
+    """Grow charts, numbered from ``num``, over triangles whose ``chart`` is -1; return the new ``num``."""
     queue = np.empty(len(order), np.int64)
     for seed in order:
         if chart[seed] >= 0:

@@ -36,9 +36,10 @@ charts, for which the mesh's own layout is replaced."""
 
 @dataclass(frozen=True)
 class PixelDensity:
-    """Samples of the views' pixels on the surface: the ``face`` (K,) that a pixel shows, and the pixels per
-    metre there (K,), f sqrt(cos) / z, with focal length f in pixels, cosine of the angle of incidence and
-    depth z.
+    """Samples of the views' pixels on the surface.
+
+    ``face`` (K,): triangle that the pixel shows; ``per_m`` (K,): pixels per metre there, f sqrt(cos) / z,
+    with focal length f in pixels, cosine of the angle of incidence and depth z.
     """
 
     face: NDArray[np.int32]
@@ -65,7 +66,8 @@ def pixel_density(views: Iterable[tuple[Camera, ViewGeometry]]) -> PixelDensity:
 
 
 def atlas_size(footprint_m: float | None, metres_per_side: float) -> int:
-    """Compute the side in texels, a multiple of 256 in [256, 16384], for texels of ``footprint_m``."""
+    """Compute the side, a multiple of 256 in [256, 16384], of an atlas over ``metres_per_side`` with texels
+    of ``footprint_m`` metres; 256 if that is None."""
     if footprint_m is None:
         return MIN_SIZE
     return int(np.clip(np.ceil(metres_per_side / footprint_m / 256) * 256, MIN_SIZE, MAX_SIZE))

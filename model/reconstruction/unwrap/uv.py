@@ -36,10 +36,10 @@ class UvReport:
     """Quality of an unwrap.
 
     ``source``: origin of the UVs; ``rejected``: fault of the mesh's UVs, or ''; ``coverage``: share of the
-    atlas with a surface; ``metres_per_side``: length on the surface of the atlas side: the median or, if
-    ``is_repacked`` (the scales of charts were changed), the length on the finest charts; ``stretch``: ratio
-    of the 95th to the 5th percentile of texel density by area before repacking, ideally 1; ``num_charts``:
-    number of charts; ``padding_texels``: see :func:`padding_texels`.
+    atlas with a surface; ``metres_per_side``: length on the surface that corresponds to the atlas side, as
+    the median or, if ``is_repacked`` (the scales of charts were changed), on the finest charts; ``stretch``:
+    ratio of the 95th to the 5th percentile of texel density by area before repacking, ideally 1;
+    ``num_charts``: number of charts; ``padding_texels``: see :func:`padding_texels`.
     """
 
     source: Literal["mesh", "planar"]
