@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Checkpoints: weights as safetensors, with metadata as JSON in the file's header and in a separate file.
 
-``NAME.safetensors`` contains the tensors ``network.*`` (U-Nets) and, once trained, ``confidence.*``; its
+``NAME.safetensors`` contains the tensors ``network.*`` and, once trained, ``confidence.*``; its
 header and ``NAME.json`` contain the same :class:`CheckpointCard`. Nothing is pickled. Reading builds the
 networks from the card (custom ones on the CPU, others on the meta device) and compares every name and shape
 with the file before it reads values.

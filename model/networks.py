@@ -47,7 +47,7 @@ COLOR_STATISTICS = ("color_median", "color_max", "color_min")
 INPUTS = ("beauty", *COLOR_STATISTICS, "normal_camera", "depth", *LIGHT_BUFFERS)
 """Names of all possible inputs of a network."""
 MAX_REFLECTANCE = 2.0
-"""Value of the buffer ``reflectance`` that is encoded as 1; unseen lamps and highlights raise it above 1."""
+"""Value at which the buffer ``reflectance`` is clipped; highlights and unseen lamps raise it above 1."""
 
 
 class NetworkConfig(StrictModel):
@@ -56,7 +56,7 @@ class NetworkConfig(StrictModel):
     base_channels: int = Field(default=64, ge=1, le=512)
     """Channels of the first encoder layer; deeper ones have 2, 4 and 8 times as many."""
     global_channels: int = Field(default=128, ge=1, le=4096)
-    """Width of the global track."""
+    """Number of components of the global track's vector."""
     wide_decoder: bool = False
     """Decoder layers have 8, 4, 2 times ``base_channels`` channels, as in the paper, instead of 4, 2, 1."""
     dropout: float = Field(default=0.5, ge=0.0, lt=1.0)

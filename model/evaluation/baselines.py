@@ -26,8 +26,8 @@ Given = TextureMethod | ConstantMethod | MapsMethod | OracleMethod
 def given_maps(method: Given, scene: str, capture: Capture, kept: Path, judged: Sequence[str]) -> GivenMaps:
     """Return the source of a method's maps for the views of ``capture``, a capture of the scene ``scene``.
 
-    Reading it also writes the maps of the views ``judged`` (compared with the truth) to ``kept``/VIEW.exr.
-    Raises :class:`InputError` for missing or invalid files of a method of kind ``maps``.
+    Reading the source also writes the maps of the views ``judged`` (compared with the truth) to
+    ``kept``/VIEW.exr. Raises :class:`InputError` for missing or invalid files of a method of kind ``maps``.
     """
     identity, read = _source(method, scene, capture)
 

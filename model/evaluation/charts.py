@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 """SVG charts of a suite: errors of maps and PSNR of re-renderings of all methods in all scenes, and errors of
-the maps by quartile of confidence. Text is in the current colour, so the charts follow the theme of a page.
+the maps by quartile of confidence. Text is in CSS's currentColor, so charts follow the theme of a page.
 """
 
 from __future__ import annotations

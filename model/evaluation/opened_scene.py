@@ -200,7 +200,7 @@ def open_scene(suite: Suite, recipe: TestScene, prepared: PreparedScene, tell: T
 
 
 def _choose_figures(suite: Suite, scene: OpenedScene) -> None:
-    """Choose the views in pictures, and add a scenery with the inserted object if a view has space for it."""
+    """Choose the views in pictures; add a :class:`Scenery` with the inserted object if a view has space."""
     inserted = suite.inserted[scene.recipe.name]
     package = open_package(Path(inserted.package))
     thing, _ = package_geometry(package, PlacedAsset(name=INSERTED, asset=package.id))

@@ -75,7 +75,7 @@ def _bundled(name: str) -> str:
 
 
 def scene_html(title: str, scene: SceneResult, rows: Sequence[Row], truth: Mapping[str, JudgedView]) -> str:
-    """HTML section of a scene with one set of camera faults; ``truth``: true views in its light, by name."""
+    """HTML section of a scene with one set of camera faults; ``truth``: its true views by name."""
     methods = [m for m in scene.methods if not m.skipped and m.kind != "truth"]
     views = {method.label: rendered_views(method) for method in methods}
     cards = "".join(_cards(scene, method, views[method.label], truth) for method in methods)

@@ -52,7 +52,7 @@ def judged_view(buffers: dict[str, NDArray]) -> JudgedView:
 
 @dataclass(frozen=True)
 class Rendering:
-    """A rendering of some ``views`` of a scenery with one seed, stored as ``VIEW.exr`` in ``folder``.
+    """Images of some ``views`` of a :class:`Scenery` with one seed, stored as ``VIEW.exr`` in ``folder``.
 
     Existing files are reused, so the folder's name must depend on everything that affects pixels.
     """

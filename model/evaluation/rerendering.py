@@ -119,7 +119,7 @@ def merged_confidence(folder: Path, cameras: Mapping[str, Camera]) -> dict[str, 
 
 
 def recovered_sceneries(scene: OpenedScene, asset: Path) -> dict[str, Scenery]:
-    """Sceneries of the package ``asset`` by light: each light of the scene, and recovered lights, if any."""
+    """Return a :class:`Scenery` of ``asset`` for each light of the scene, and for recovered lights, if any."""
     parts, sceneries = scene.capture.geometry.parts, {}
     lamps = {name for part in parts if (name := light_of_part(part.name)) is not None}
     for light, truth in scene.sceneries.items():
@@ -149,7 +149,7 @@ def own_emission(asset: Path, parts: Iterable[GeometryPart], gain: float) -> Emi
 
 
 def relit_scenery(truth: Scenery, asset: Path) -> Scenery:
-    """Scenery of the package ``asset`` under only its own lights, with the cameras of ``truth``."""
+    """Return the package ``asset`` under only its own lights, with the cameras of ``truth``."""
     lights = configuration_of(open_package(asset)).lights
     scenery = recovered_scenery(truth, asset, {})
     return Scenery(scenery.configuration.model_copy(update={"lights": lights}), scenery.library)

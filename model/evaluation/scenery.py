@@ -45,13 +45,13 @@ class Scenery:
     library: tuple[Path, ...]
 
     def seen_by(self, cameras: Sequence[str]) -> Scenery:
-        """Return the scenery with only the named ``cameras``, in this order."""
+        """Return a copy with only the named ``cameras``, in this order."""
         by_name = {camera.name: camera for camera in self.configuration.cameras}
         chosen = tuple(by_name[name] for name in cameras)
         return self._with({"cameras": chosen})
 
     def lit_by(self, modified: ModifiedLight, added: Sequence[Light]) -> Scenery:
-        """Return the scenery under its own lights times ``modified.own_gain`` plus the ``added`` lights.
+        """Return a copy under its own lights times ``modified.own_gain`` plus the ``added`` lights.
 
         If the gain is 0, visible lights remain as black surfaces, like lamps that are switched off.
         """
@@ -66,7 +66,7 @@ class Scenery:
         return self._with({"lights": lights, "environment": placed[0], "objects": tuple(placed[1:])})
 
     def with_object(self, inserted: InsertedObject, position_m: NDArray) -> Scenery:
-        """Return the scenery with ``inserted`` at ``position_m`` (3,) in metres.
+        """Return a copy with ``inserted`` at ``position_m`` (3,) in metres.
 
         Raises :class:`InputError` if its package is not that of an object.
         """
@@ -88,7 +88,7 @@ class Scenery:
         )
 
     def with_seed(self, seed: int) -> Scenery:
-        """Return the scenery with another seed of the renderer."""
+        """Return a copy with another ``seed`` of the renderer."""
         return self._with({"seed": seed})
 
     def _with(self, changes: dict[str, Any]) -> Scenery:

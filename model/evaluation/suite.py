@@ -110,7 +110,8 @@ class ModifiedLight(StrictModel):
 class InsertedObject(StrictModel):
     """Object inserted into the scene for the pictures; ``package`` is an object package or ``bundled:ID``.
 
-    Without ``position_m``, a level position in front of a camera is chosen; ``scale`` multiplies its size.
+    Without ``position_m``, a level position in front of a camera is chosen; ``scale`` multiplies the object's
+    size, and ``yaw_deg`` turns it about the vertical.
     """
 
     package: str = "bundled:statuette_torso"

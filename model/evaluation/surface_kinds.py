@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Kinds of surface in the judged views, such as metal, white walls and small objects.
 
-By its true maps, a surface is ``metal`` (mean S > 0.2), or else ``glossy`` (R < 0.4) or ``matt`` (R >= 0.4),
-and perhaps ``white`` (D > 0.7 in every channel). By the true mesh, it may be ``small`` (a connected piece
-less than 0.3 m across) or ``sunlit`` (lit directly by the sun); it is ``seldom seen`` if visible in fewer
-than 4 views. Kinds overlap. A ``region`` is a part of the scene's geometry.
+By its true maps, a surface is ``metal`` (mean S > 0.2) or otherwise ``glossy`` (R < 0.4) or ``matt`` (R >=
+0.4); if not metal, it may also be ``white`` (D > 0.7 in every channel). By the true mesh, it may be ``small``
+(a connected piece less than 0.3 m across) or ``sunlit`` (lit directly by the sun); it is ``seldom seen`` if
+visible in fewer than 4 views. Kinds overlap. A ``region`` is a part of the scene's geometry.
 """
 
 from __future__ import annotations

@@ -89,8 +89,8 @@ class DataConfig(StrictModel):
     workers: int = Field(default=1, ge=0)
     """Loader processes per rank; 0 decodes in the training process."""
     in_memory: bool = False
-    """Decode each view once per rank, into memory shared by its loader processes, instead of once per block:
-    about 70 bytes per pixel and view. The batches are the same."""
+    """Decode each view once per rank, into memory shared by its loader processes (about 70 bytes per pixel),
+    instead of once per block. The batches are the same."""
     on_bad_view: BadViewPolicy = "refuse"
     """``refuse`` raises for an invalid view, ``skip`` excludes it from loss and validation, and counts its
     crops."""

@@ -73,7 +73,7 @@ class TrainingContext:
     """Objects shared by all phases of a run.
 
     ``inherited``: records of the datasets on which ``initial_checkpoint`` was trained; ``shared``: decoded
-    views, with ``data.in_memory`` only.
+    views if ``data.in_memory``, else None.
     """
 
     config: TrainingConfig
@@ -92,7 +92,7 @@ class TrainingContext:
         return CropOrder(len(self.data.train), data.crops_per_view, data.block_views, seed), seed
 
     def plan(self, index: int, start: int, stop: int | None = None) -> BatchPlan:
-        """Micro-batches of this rank in phase ``index``, for the steps [start, stop), or endless without stop."""
+        """Micro-batches of this rank in phase ``index``, from step ``start`` to before ``stop`` (None: endless)."""
         config, ranks = self.config, self.ranks
         order, _ = self.order(index)
         return BatchPlan(order, config.batch_size, config.accumulation, ranks.index, ranks.count, start, stop)
@@ -136,7 +136,7 @@ def make_context(
 
 
 def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, ...]]:
-    """Return models with random or an initial checkpoint's weights, and records of its datasets."""
+    """Return models with random weights or an initial checkpoint's, and the records of its datasets."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(generator_for(config.seed, _INIT_PURPOSE).initial_seed()))
         models = Models(config)

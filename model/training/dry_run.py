@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Dry run: resolved configuration, sizes, memory and time, estimated from synthetic steps of each phase."""
+"""Dry run: resolved configuration, sizes, memory and time, estimated from a few steps on synthetic crops."""
 
 from __future__ import annotations
 

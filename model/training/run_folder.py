@@ -66,7 +66,8 @@ def check_same_run(path: Path, record: RunRecord) -> None:
 
 
 class RunProgress(StrictModel):
-    """Progress of a run: index of the current phase, and completed steps in it and in all phases."""
+    """Progress of a run: index of the current phase, completed steps in it and in all phases, its best
+    validation score, and the number of skipped crops."""
 
     phase: int = Field(default=0, ge=0)
     step: int = Field(default=0, ge=0)

@@ -64,7 +64,7 @@ def check_traced(traced: TracedCapture, out: Path, progress: Advance) -> CheckRe
 def check_views(
     capture: Capture, edge_views: Sequence[EdgeView], out: Path | None, progress: Advance = no_advance
 ) -> CheckReport:
-    """Check views, read and traced with the selected Mitsuba variant, as :func:`check_capture` does."""
+    """Check the views of a capture as :func:`check_capture` does; a Mitsuba variant must be selected."""
     if not any((edge_view.geometry.face >= 0).any() for edge_view in edge_views):
         raise _nothing_seen(capture, edge_views)
     sides = seen_sides([edge_view.geometry for edge_view in edge_views], len(capture.geometry.mesh.faces))
@@ -85,7 +85,7 @@ def check_views(
 
 
 def _try_other_frames(report: CheckReport, capture: Capture, edge_views: Sequence[EdgeView]) -> None:
-    """Try other up axes and units of the mesh on some views; warn of the bad fit, and name the best one."""
+    """Try other up axes and units of the mesh on some views; warn of the bad fit, and name the best frame."""
     step = max(1, len(edge_views) // _MAX_TRIED_VIEWS)
     chosen = edge_views[::step][:_MAX_TRIED_VIEWS]
     in_file = z_up_from(capture.mesh_up).T

@@ -36,7 +36,8 @@ class ViewCheck:
     """Results of the check of a view.
 
     ``coverage``: share of pixels that show the mesh; ``back_share``: share of these that show its back;
-    ``nearest_m``: minimum depth; ``off_deg``: camera rotation that explains the shift, None without edges;
+    ``nearest_m``: minimum depth; ``edges`` and ``warp``: best shift, and best rotation and magnification,
+    None if not compared; ``off_deg``: camera rotation that explains the shift, None without edges;
     ``depth_m``: harmonic mean depth of the edges; ``zoom_depth_m``: see ``EdgeView._zoom_depth_m``.
     """
 

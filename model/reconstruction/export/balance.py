@@ -43,7 +43,8 @@ _BATCH = 1 << 19  # paths traced at once
 
 @dataclass(frozen=True)
 class Balance:
-    """Balanced ``lights``, ``gains`` by slot, and the mean loss of held-out samples before and after."""
+    """Balanced ``lights``, their ``gains`` by slot, and the mean loss of held-out samples at gain 1 and after
+    fitting to the others."""
 
     lights: FoundLights
     gains: dict[str, Color]

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Slots of the exports (the surface with the atlas's materials, and lamps), and meshes of lights."""
+"""Divides the mesh into slots for the exports, the surface with the atlas's materials and lamps, and makes
+meshes of the other lights.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,7 @@ class Reconstruction:
 
     @property
     def shining_lights(self) -> FoundLights | None:
-        """Recovered lights, which replace the capture's known lights; None if none of them emits."""
+        """Recovered lights, which replace the capture's known lights; None without any that emits."""
         return None if self.lights is None or self.lights.is_dark else self.lights
 
     @property
@@ -72,7 +74,7 @@ class Reconstruction:
 @dataclass(frozen=True)
 class Slot:
     """Triangles with one material, which uses the atlas if ``has_material`` and is black otherwise;
-    ``emission`` is a lamp's radiance.
+    ``emission`` is a lamp's radiance, else None.
     """
 
     mesh: Mesh

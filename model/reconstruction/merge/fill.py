@@ -48,7 +48,7 @@ def fill_unseen(atlas: Atlas, mesh: Mesh, progress: Advance = no_advance) -> Non
     """Fill all unobserved texels, including those between charts; ``mesh`` is the unwrapped mesh."""
 
     def part(number: int) -> Advance:
-        """Make the progress callback of one of the four parts."""
+        """Return the progress callback of part ``number``, 0 to 3."""
         return lambda done, total: progress(100 * number + 100 * done // total, 400)
 
     means, num_seen = _face_means(atlas, len(mesh.faces), part(0))
@@ -238,7 +238,7 @@ def typical_values(charts: NDArray, piece: NDArray, means: NDArray, num_seen: ND
 
 
 def _medians(group: NDArray, values: NDArray, weight: NDArray, num: int) -> NDArray[np.float64]:
-    """Compute the weighted medians (num, K) of ``values`` (N, K) by ``group`` (N,), 0 where weights are 0."""
+    """Compute the weighted median (num, K) of ``values`` (N, K) in each ``group`` (N,), 0 without weight."""
     found = np.zeros((num, values.shape[1]))
     rows = np.flatnonzero(weight)
     total = np.bincount(group, weight, num)

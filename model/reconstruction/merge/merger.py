@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Merges the maps of all views into one atlas by the median of each texel over views, or a weighted mean.
 
-The point and normal at the centre of each covered texel are projected into every view. Views in which it is
-visible (``datagen.multiview.visibility``) contribute D, S and R, and each channel is the median (for even
-counts, the mean of the middle two) or, with weights, the mean of the middle half (``lane_sort.middle_mean``).
-Values are gathered, not scattered, so an atlas may have more texels than the views have pixels. Threads
-process tiles; a large atlas is on disk, so memory contains only the views' maps and a few tiles. The loop is
-in ``medians``.
+The point and normal at the centre of each covered texel are projected into every view. Views in which the
+point is visible (``datagen.multiview.visibility``) contribute D, S and R, and each channel is the median (for
+even counts, the mean of the middle two) or, with weights, the mean of the middle half
+(``lane_sort.middle_mean``). Values are gathered, not scattered, so an atlas may have more texels than the
+views have pixels. Threads process tiles; a large atlas is on disk, so memory contains only the views' maps
+and a few tiles. The loop is in ``medians``.
 
 At image borders and silhouettes, the set of merged views changes, which would cause visible steps in the
 merged maps. A pixel's weight therefore decreases to almost 0 towards the nearest border. Distant and grazing

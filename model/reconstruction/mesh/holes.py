@@ -88,7 +88,7 @@ def _boundary(corners: Ints, num_vertices: int) -> tuple[Ints, Ints, Ints]:
 
 
 def _cycles(start: Ints, end: Ints, owner: Ints) -> list[tuple[Ints, Ints]]:
-    """Divide directed edges into simple cycles; return the vertices and owners (N,) of each one's edges."""
+    """Divide directed edges into simple cycles; return start vertex and owner (N,) of the edges of each."""
     leaving: dict[int, list[int]] = {}
     for edge in range(len(start) - 1, -1, -1):
         leaving.setdefault(int(start[edge]), []).append(edge)

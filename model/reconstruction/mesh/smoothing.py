@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Removes noise from reconstructed meshes and preserves their edges, in the stage ``mesh``.
+"""Removes noise from reconstructed meshes and preserves their edges (stage ``mesh`` of ``infer``).
 
 Photogrammetry displaces vertices by millimetres, which turns the normals of small triangles by tens of
 degrees. Normals are therefore smoothed by a bilateral filter (Zheng et al. 2011, Bilateral normal filtering

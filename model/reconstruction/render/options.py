@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Options of the animation of an asset."""
+"""Options of an animation of an asset."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from datagen.foundation.errors import input_error
 
 FILM_SUFFIXES = (".gif", ".mp4")
 MIN_RATE = 0.01
-"""Minimum frames per second; the delay of a GIF's frames is at most 655 s."""
+"""Minimum frames per second, which keeps the delay of GIF frames below its limit of 655 s."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from datagen.foundation.meshes.mesh import Mesh, compacted, welded
 
 PACK_SIZE = 2048
 PADDING = 2
-"""Texels between charts in an atlas of about :data:`PACK_SIZE`."""
+"""Texels between charts in an atlas of about :data:`PACK_SIZE` texels per side."""
 _EXPECTED_COVERAGE = 0.7
 _TRIALS = (1.0, 0.96, 1.04)
 """Scales of the charts that are tried, since the side of a packing varies by up to a fifth by chance."""

@@ -2,8 +2,8 @@
 """Chooses the atlas size and the scales of an unwrap's charts, for texels as fine as photographed pixels.
 
 A lawn outside the windows may be twenty times as large as the room, so at one scale for all charts, most
-texels would be of unphotographed surfaces. Charts therefore get as many texels per metre as views have pixels
-there, and large unphotographed charts get fewer, unless this saves little.
+texels would belong to unphotographed surfaces. Charts therefore get as many texels per metre as views have
+pixels there, and large unphotographed charts get fewer, unless this saves little.
 """
 
 from __future__ import annotations

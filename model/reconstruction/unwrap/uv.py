@@ -114,7 +114,7 @@ def padding_texels(mesh: Mesh) -> int | None:
 
 
 def _overlapping(mesh: Mesh) -> NDArray[np.bool_]:
-    """Compute the mask (M,) of triangles that overlap one of lower index in UVs; all False if negligible."""
+    """Compute the mask (M,) of triangles that overlap one of lower index in UVs, all False for few texels."""
     highest, is_several = TexelSurface(mesh, face_normals(mesh), PACK_SIZE).overlaps(_CHECK_OFFSET)
     overlapping = np.zeros(len(mesh.faces), np.bool_)
     several = highest[is_several]
