@@ -32,7 +32,7 @@ from model.reconstruction.unwrap.uv import unwrapped
 _MIN_FACES = 4  # parts with fewer triangles are not reduced
 _MAX_HOLES = 10_000
 _REVISION = 2
-_ARRAYS = ("positions", "faces", "normals", "uv")  # of meshes, in the order of their fields
+_ARRAYS = ("positions", "faces", "normals", "uv")  # fields of Mesh, in order
 
 
 class GeometryError(StrictModel):

@@ -40,7 +40,7 @@ Tell = Callable[[str, int, int], None]
 OWN, MODIFIED, INSERTED = "own", "modified", "inserted"
 RECOVERED = "recovered"
 """Name of the light recovered by a method; its truth is rendered under the scene's own light."""
-RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's seed, the photographs' own
+RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's seed (that of the photographs)
 _REVISION = 2
 """Revision of atlases and renderings; cached ones of another revision are computed again."""
 _GEOMETRY = 2

@@ -119,7 +119,7 @@ def merged_confidence(folder: Path, cameras: Mapping[str, Camera]) -> dict[str, 
 
 
 def recovered_sceneries(scene: OpenedScene, asset: Path) -> dict[str, Scenery]:
-    """Return a :class:`Scenery` of ``asset`` for each light of the scene, and for recovered lights, if any."""
+    """Return a :class:`Scenery` of ``asset`` for each light of the scene and for recovered lights, if any."""
     parts, sceneries = scene.capture.geometry.parts, {}
     lamps = {name for part in parts if (name := light_of_part(part.name)) is not None}
     for light, truth in scene.sceneries.items():

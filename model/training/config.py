@@ -202,7 +202,7 @@ def _read_mapping(path: Path) -> dict[str, Any]:
     except OSError as error:
         got = (error.strerror or str(error)).lower()
         raise input_error(path, "", got, "a readable YAML file", "check the path") from None
-    except (ValueError, yaml.YAMLError) as error:  # a ValueError also for a date such as 2020-13-01
+    except (ValueError, yaml.YAMLError) as error:  # PyYAML raises ValueError for a date such as 2020-13-01
         where, got = syntax_error(path, error) if isinstance(error, yaml.YAMLError) else (path, str(error))
         raise input_error(where, "", got, "a readable YAML file", "correct the file") from None
     if not isinstance(data, dict):

@@ -92,7 +92,7 @@ class TrainingContext:
         return CropOrder(len(self.data.train), data.crops_per_view, data.block_views, seed), seed
 
     def plan(self, index: int, start: int, stop: int | None = None) -> BatchPlan:
-        """Micro-batches of this rank in phase ``index``, from step ``start`` to before ``stop`` (None: endless)."""
+        """Micro-batches of this rank in phase ``index`` for steps [start, stop); endless if stop is None."""
         config, ranks = self.config, self.ranks
         order, _ = self.order(index)
         return BatchPlan(order, config.batch_size, config.accumulation, ranks.index, ranks.count, start, stop)

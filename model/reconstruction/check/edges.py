@@ -186,7 +186,7 @@ def match_warp(
         np.asarray(cv2.resize(field, size, interpolation=cv2.INTER_AREA), np.float32)
         for field in (edge_field(edges), photograph)
     )
-    center = (camera.cx_px / shrink - 0.5, camera.cy_px / shrink - 0.5)  # OpenCV's pixel coordinates
+    center = (camera.cx_px / shrink - 0.5, camera.cy_px / shrink - 0.5)  # OpenCV: integers are pixel centres
     radius = max(6, radius_px // shrink)
     plain = shift_scores(mesh_field, taken, radius)
     middle, spread = _scores_off_peak(plain)

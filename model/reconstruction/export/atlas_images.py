@@ -92,8 +92,7 @@ def write_atlas_images(
     """Write ``NAME.png`` and, with ``has_exr``, ``NAME.exr`` (half floats) of every map, and ``mask.png``.
 
     The confidence of D, S and R, if known, is written to ``confidence.png`` and ``.exr`` as R, G and B.
-    Returns the paths.
-    Images of an earlier atlas that are not replaced are removed.
+    Other images of an earlier atlas are removed. Returns the paths.
     """
     folder.mkdir(parents=True, exist_ok=True)
 

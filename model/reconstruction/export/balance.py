@@ -43,8 +43,7 @@ _BATCH = 1 << 19  # paths traced at once
 
 @dataclass(frozen=True)
 class Balance:
-    """Balanced ``lights``, their ``gains`` by slot, and the mean loss of held-out samples at gain 1 and after
-    fitting to the others."""
+    """Balanced ``lights``, ``gains`` by slot, and mean loss of held-out samples before and after the fit."""
 
     lights: FoundLights
     gains: dict[str, Color]

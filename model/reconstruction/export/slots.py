@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Divides the mesh into slots for the exports, the surface with the atlas's materials and lamps, and makes
-meshes of the other lights.
-"""
+"""Divides a mesh into slots for export (the surface with the atlas, lamps), and makes meshes of other lights."""
 
 from __future__ import annotations
 

@@ -125,7 +125,7 @@ def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
     piece = connected_pieces(mesh)
     known = np.flatnonzero(num_seen)
     is_seen = np.isin(piece, piece[known])
-    apart = 10 * float(np.linalg.norm(np.ptp(centroids, axis=0)))  # separates pieces
+    apart = 10 * float(np.linalg.norm(np.ptp(centroids, axis=0)))  # exceeds all distances within a piece
     by_piece = np.column_stack([centroids, apart * piece])
     source = np.arange(len(centroids))
     for which, place in ((is_seen, by_piece), (~is_seen, centroids)):
