@@ -44,7 +44,7 @@ RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's seed (that
 _REVISION = 2
 """Revision of atlases and renderings; cached ones of another revision are computed again."""
 _GEOMETRY = 2
-"""Revision of the geometry of captures, which predictions depend on."""
+"""Revision of the geometry of captures, on which predictions depend."""
 _MENDED_MESH = 2
 """Revision of the repair of meshes with simulated errors, which precedes prediction."""
 

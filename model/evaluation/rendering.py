@@ -101,8 +101,10 @@ def render_scenery(
     enough: EnoughOf | None = None,
     tell: Advance = no_advance,
 ) -> None:
-    """Render the missing views of ``renderings``; ``tell`` receives the numbers of finished and of all views.
-    Irradiance cache and sky guide are always estimated from all ``cameras``, even if few views are missing.
+    """Render the missing views of ``renderings`` in the quality ``render``.
+
+    ``enough`` stops views early; ``tell`` receives the numbers of finished and of all views. Irradiance cache
+    and sky guide are always estimated from all ``cameras``, even if few views are missing.
     """
     missing = [(rendering, names) for rendering in renderings if (names := rendering.missing())]
     if not missing:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Re-renderings of recovered materials, under the scene's lights and under recovered lights, compared with
-the truth; confidence of an atlas at the pixels of views.
+"""Renders recovered materials under the scene's lights and under recovered lights, compares the images with
+the truth, and looks up the confidence of an atlas at the pixels of views.
 """
 
 from __future__ import annotations

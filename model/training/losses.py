@@ -100,7 +100,7 @@ class LossTerms:
 
 
 class MaterialLoss(nn.Module):
-    """Weighted sum of L1 and ``perceptual`` distances of rendered images and of maps, and of L2 of maps.
+    """Weighted sum of L1 and ``perceptual`` distances of rendered images and maps, and L2 distances of maps.
 
     ``perceptual`` is from :mod:`model.training.perceptual`; None omits it.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Divides a mesh into slots for export (the surface with the atlas, lamps), and makes meshes of other lights."""
+"""Slots of a mesh for export (the surface with the atlas, and lamps), and meshes of other lights."""
 
 from __future__ import annotations
 

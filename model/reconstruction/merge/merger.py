@@ -242,7 +242,7 @@ class MapMerger:
 
 
 def _typical_resolution(views: Sequence[MapView]) -> float:
-    """Return the median over views of their median resolution (pixels per metre), 1 if all lack it."""
+    """Return the median over views of their median resolution (pixels per metre), 1 if none has one."""
     resolutions = [view.resolution for view in views if view.resolution is not None]
     medians = [np.median(r[r > 0]) for r in resolutions if r.any()]
     return float(np.median(medians)) if medians else 1.0
