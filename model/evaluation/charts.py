@@ -144,7 +144,7 @@ def overview_svg(result: SuiteResult) -> str:
 
 
 def standalone(svg: str) -> str:
-    """The chart as standalone SVG text, on white."""
+    """The chart as text of a standalone SVG file with a white background."""
     head, rest = svg.split(">", 1)
     namespace = 'xmlns="http://www.w3.org/2000/svg"'
     return f'{head} {namespace} color="{_INK}"><rect width="100%" height="100%" fill="#fff"/>{rest}\n'

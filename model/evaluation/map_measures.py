@@ -137,8 +137,8 @@ class MapMeasures:
 
 
 def level_figures(estimate: NDArray, truth: NDArray, region: NDArray) -> dict[str, float]:
-    """Scale errors of estimated D (N, 3): the best gain, the mean squared error after it and after one gain
-    per ``region`` (N,), and the level error (see the module's docstring).
+    """Scale errors of ``estimate`` against ``truth``, D of N pixels (N, 3): the best gain, the mean squared
+    error after it and after one gain per ``region`` (N,), and the level error (see the module's docstring).
     """
     square = (estimate**2).sum()
     gain = float((estimate * truth).sum() / square) if square > 0 else 1.0

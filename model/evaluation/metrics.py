@@ -3,8 +3,8 @@
 
 Both images are multiplied by one exposure, clipped to [0, 1] and sRGB-encoded. PSNR has the data range 1,
 SSIM an 11 x 11 Gaussian window of sigma 1.5 (Wang et al. 2004), averaged over channels; DSSIM is 1 - SSIM;
-LPIPS is LPIPS-VGG 0.1. Each is computed per view and averaged. Metrics *with a gain* are computed
-after multiplying all rendered images by one factor, the median ratio of luminance over surface pixels.
+LPIPS is LPIPS-VGG 0.1. Each is computed per view and averaged. Metrics *with a gain* are computed after
+multiplying all rendered images by the median ratio of true to rendered luminance over surface pixels.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def fitted_gain(rendered: Mapping[str, JudgedView], truth: Mapping[str, JudgedVi
 def image_figures(
     rendered: Mapping[str, JudgedView], truth: Mapping[str, JudgedView], exposure: float, lpips: Lpips | None
 ) -> dict[str, dict[str, float | None]]:
-    """Metrics of ``rendered`` views against ``truth``, by view and name; LPIPS is None without ``lpips``."""
+    """Metrics of ``rendered`` against ``truth`` at ``exposure``, by view and name; LPIPS is optional."""
     gain = fitted_gain(rendered, truth)
     return {
         name: _figures_of(rendered[name], true_view, exposure, gain, lpips)

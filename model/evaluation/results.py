@@ -18,16 +18,17 @@ Figures = dict[str, float | None]
 class MethodResult(StrictModel):
     """Results of a method on a scene.
 
-    ``skipped``: reason for missing figures, else ''. ``camera``: name of the camera faults, '' for none.
-    ``maps_per_view`` and ``maps_merged``: mean squared errors of the predicted maps and of the atlas as seen
-    in the views; ``map_figures``, ``by_kind`` and ``calibration`` are as in ``map_measures``; ``map_views``:
-    the errors per view. ``images``: figures of re-renderings (``metrics.image_figures``) by light (own,
-    modified, recovered) and views (input, novel); ``image_views``: the same per view. ``seed_spread``:
-    standard deviation, by light, of a view's figures between two seeds of the renderer. ``seen_share``: share
-    of the atlas visible in at least one view; ``covered_share``: share of the true surface's pixels where the
-    method has a surface. ``atlas_size``: side in texels; ``seconds``: wall time by stage; ``processor_s``:
-    time of all cores, without cached results. ``folder``: folder of maps and asset; ``renders``: folders of
-    rendered views, by light (also ``inserted``).
+    ``skipped``: reason for missing figures, else ''. ``geometry``: errors of the mesh in words, "true" for
+    none; ``camera``: name of the camera faults, '' for none; ``checkpoint``: its name and the start of its
+    hash. ``maps_per_view`` and ``maps_merged``: mean squared errors of the predicted maps and of the atlas as
+    seen in the views; ``map_figures``, ``by_kind`` and ``calibration`` are as in ``map_measures``;
+    ``map_views``: the errors per view. ``images``: figures of re-renderings (``metrics.image_figures``) by
+    light (own, modified, recovered) and views (input, novel); ``image_views``: the same per view.
+    ``seed_spread``: standard deviation, by light, of a view's figures between two seeds of the renderer.
+    ``seen_share``: share of the atlas visible in at least one view; ``covered_share``: share of the true
+    surface's pixels where the method has a surface. ``atlas_size``: side in texels; ``seconds``: wall time by
+    stage; ``processor_s``: time of all cores, without cached results. ``folder``: folder of maps and asset;
+    ``renders``: folders of rendered views, by light (also ``inserted``).
     """
 
     scene: Slug
@@ -58,7 +59,7 @@ class MethodResult(StrictModel):
 
     @property
     def label(self) -> str:
-        """Name with camera and geometry, for tables and pictures."""
+        """Name for tables and pictures, with faults of the camera and errors of the mesh in parentheses."""
         faults = [self.camera] if self.camera else []
         faults += [self.geometry] if self.geometry != "true" else []
         return f"{self.method} ({', '.join(faults)})" if faults else self.method
@@ -96,7 +97,8 @@ class SceneResult(StrictModel):
 
 
 class SuiteResult(StrictModel):
-    """Contents of ``evaluation.json``; ``failures`` are the reasons for missing figures, by scene."""
+    """Contents of ``evaluation.json``. ``lpips_absence``: reason for missing LPIPS, else ''; ``failures``:
+    reasons for missing figures, by scene."""
 
     suite: Slug
     may_be_known: bool

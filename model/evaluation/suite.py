@@ -35,8 +35,7 @@ class _Method(StrictModel):
 class NetworkMethod(_Method):
     """Maps predicted by a checkpoint; if its file is missing, a note replaces the method's figures.
     ``is_filtered`` (bilateral solver), ``weights`` (of pixels in the merge), ``is_leveled`` (albedo scale)
-    and ``materials`` are options of ``materials infer``.
-    """
+    and ``materials`` are options of ``materials infer``."""
 
     kind: Literal["network"]
     checkpoint: str = BUNDLED

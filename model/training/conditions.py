@@ -167,7 +167,7 @@ def sample_point_condition(geometry: Geometry, draws: SampleDraws) -> PointCondi
 def sample_area_condition(geometry: Geometry, draws: SampleDraws) -> AreaCondition:
     """Draw viewing directions, and 5 spherical Gaussians with axes uniform over the hemisphere z <= 0.
 
-    Visible surfaces face the camera, so light must come from its side. Sharpness is log-uniform between 2
+    Visible surfaces face the camera, so all lights are behind it. Sharpness is log-uniform between 2
     and 200, and colours are uniform; the sum of the lobes' integrals, averaged over channels, is pi.
     """
     view_dir = sample_views(geometry, draws)

@@ -8,8 +8,8 @@ order; each rank takes its part of the slice. For any number of ranks and loader
 therefore used at most once per epoch, and training can resume at any batch.
 
 A sample is a dictionary of float32 tensors (C, S, S): ``beauty`` and the statistics (linear),
-``normal_camera``, ``depth_z_m``, ``position`` (camera space, metres), the true maps, ``mask`` (bool), and
-scalars.
+``normal_camera``, ``depth_z_m``, ``position`` (camera space, metres), the true maps, ``mask`` (bool), and the
+scalars ``exposure``, ``depth_max_m``, ``sample_id`` and ``is_skipped``.
 """
 
 from __future__ import annotations

@@ -87,7 +87,6 @@ class Trainer:
                     step, total_step = self.progress.step, self.progress.total_step
                     epoch, is_last = (step - 1) // phase.steps_per_epoch, step == phase.num_steps
 
-                    # the progress bar shows every step, the log steps at intervals
                     speed = self._speed()
                     tell(self._note(phase, values, speed))
                     if log is not None and (step % config.log_every_steps == 0 or is_last):

@@ -66,7 +66,8 @@ def release_memory(array: NDArray) -> None:
 
 
 def empty_atlas(size: int, folder: Path | None = None, *, has_confidence: bool = False) -> Atlas:
-    """Make an empty atlas of ``size`` texels per side, in memory or in memory-mapped files in ``folder``."""
+    """Make an empty atlas of ``size`` texels per side, with or without an array of confidence, in memory or
+    in memory-mapped files in ``folder``."""
     shapes: dict[str, tuple[tuple[int, ...], Any]] = {
         name: ((size, size, channels), ATLAS_DTYPE) for name, channels in MAP_CHANNELS.items()
     }

@@ -72,8 +72,7 @@ class TexelSurface:
 
     def overlaps(self, offset: tuple[float, float] = (0.5, 0.5)) -> tuple[NDArray, NDArray]:
         """Return the highest triangle index (size, size) at each texel, -1 for none, and the mask (size,
-        size) of texels covered by several triangles.
-        """
+        size) of texels covered by several triangles."""
         whole = (0, 0, self.size, self.size, offset)
         highest = self.faces(*whole)
         return highest, highest != self.faces(*whole, is_highest=False)
@@ -121,8 +120,7 @@ def _add_to_bins(uv: Any, vertices: Any, size: Any, num_bins: Any, ends: Any, me
 @compiled
 def _edge(ax: Any, ay: Any, bx: Any, by: Any, side: Any) -> Any:
     """Return start, vector and sign (x, y, dx, dy, sign) of the edge ab with its ends in canonical order; the
-    sign is ``side``, negated if the ends are swapped.
-    """
+    sign is ``side``, negated if the ends are swapped."""
     if ax < bx or (ax == bx and ay <= by):
         return ax, ay, bx - ax, by - ay, side
     return bx, by, ax - bx, ay - by, -side

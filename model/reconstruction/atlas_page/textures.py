@@ -73,7 +73,8 @@ class AtlasState:
 def material_images(
     package: Package, material: Material, state: AtlasState, max_side: int
 ) -> Iterator[PageImage]:
-    """Make the three images of a material; ``state`` describes the texels of its roughness texture.
+    """Make the three images of a material with sides of at most ``max_side`` texels; ``state`` describes the
+    texels of its roughness texture.
 
     Raises :class:`InputError` if an image cannot be read, or if roughness and state differ in size.
     """

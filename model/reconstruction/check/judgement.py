@@ -94,7 +94,7 @@ def _is_moved(offset_m: NDArray[np.float64], covariance: NDArray[np.float64]) ->
 def _robust(
     a: NDArray[np.float64], b: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Solve ``a`` x = ``b`` by IRLS, a (V, 2, N), b (V, 2); return x (N,) and its covariance (N, N)."""
+    """Solve a x = b for ``a`` (V, 2, N) and ``b`` (V, 2) by IRLS; return x (N,) and its covariance (N, N)."""
     weight = np.ones(len(a))
     found = np.zeros(a.shape[2])
     for _ in range(20):

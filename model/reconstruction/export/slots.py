@@ -72,8 +72,7 @@ class Reconstruction:
 @dataclass(frozen=True)
 class Slot:
     """Triangles with one material, which uses the atlas if ``has_material`` and is black otherwise;
-    ``emission`` is a lamp's radiance, else None.
-    """
+    ``emission`` is a lamp's radiance, else None."""
 
     mesh: Mesh
     emission: Color | None
