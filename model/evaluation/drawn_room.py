@@ -27,7 +27,7 @@ RECIPE_SUFFIXES = (".yaml", ".yml")
 
 
 def imported(sources: Sequence[Path], folder: Path) -> tuple[Path, ...]:
-    """Import ``sources`` into ``folder`` unless it exists. Returns (``folder``,), or () without sources."""
+    """Import ``sources`` into a new ``folder``, or reuse it. Returns (``folder``,), or () without sources."""
     if not sources:
         return ()
     if not folder.is_dir():

@@ -64,9 +64,9 @@ from model.reconstruction.predict.sources import CheckpointMaps
 from model.reconstruction.stages import MapSource
 
 _MEASURES = 5
-"""Revision of the measures; cached figures of another revision are measured again."""
+"""Revision of the measures; cached figures of a different revision are measured again."""
 _RECONSTRUCTION = 31
-"""Revision of ``materials infer``; cached maps of another revision are computed again."""
+"""Revision of ``materials infer``; cached maps of a different revision are computed again."""
 _TRUE_SCENE = 17
 """Revision of methods of kind ``truth``, which render the scene again."""
 _MATERIALS_FROM_LIGHT = 41
@@ -286,7 +286,7 @@ def measure(
 def _reconstruct(
     suite: Suite, scene: OpenedScene, method: Method, camera: CameraFaults | None, folder: Path, tell: Tell
 ) -> dict[str, Any]:
-    """Run ``infer`` for a method unless its report exists; return the report's times and figures."""
+    """Run ``infer`` for a method unless its report exists; return its times, figures and notes."""
     error = method.geometry or (camera.geometry if camera else None)
     geometry, seconds = geometry_for(scene.capture.geometry, error, scene.geometries, tell)
     capture = replace(scene.input_capture(), geometry=geometry)

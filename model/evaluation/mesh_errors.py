@@ -119,7 +119,7 @@ def _reduced(positions: NDArray, faces: NDArray, keep_share: float) -> tuple[NDA
 def _with_holes(
     meshes: list[Mesh], is_lamp: list[bool], error: GeometryError, random: np.random.Generator
 ) -> list[Mesh]:
-    """Remove triangles near random triangles, drawn in proportion to area; triangles of lamps are kept."""
+    """Remove triangles near random ones, drawn with probability proportional to area; lamps are kept."""
     owner = np.concatenate([np.full(len(mesh.faces), k) for k, mesh in enumerate(meshes)])
     centres = np.concatenate([mesh.triangles().mean(axis=1) for mesh in meshes])
     areas = np.concatenate([mesh.areas() for mesh in meshes])

@@ -42,7 +42,7 @@ RECOVERED = "recovered"
 """Name of the light recovered by a method; its truth is rendered under the scene's own light."""
 RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's seed (that of the photographs)
 _REVISION = 2
-"""Revision of atlases and renderings; cached ones of another revision are computed again."""
+"""Revision of atlases and renderings; cached ones of a different revision are computed again."""
 _GEOMETRY = 2
 """Revision of the geometry of captures, on which predictions depend."""
 _MENDED_MESH = 2

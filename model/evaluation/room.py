@@ -217,7 +217,7 @@ def _file(source: Path) -> Path:
 
 
 def _library(scene: TestScene, folder: Path) -> tuple[Path, ...]:
-    """Library folders of the scene; its source is imported into ``folder`` unless that exists."""
+    """Library folders of the scene; its source is imported into ``folder`` if that is not done yet."""
     if scene.is_drawn:
         return recipe_library(scene.source, imported(scene.imports, folder))
     if is_package(scene.source):

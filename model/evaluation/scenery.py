@@ -68,7 +68,7 @@ class Scenery:
     def with_object(self, inserted: InsertedObject, position_m: NDArray) -> Scenery:
         """Return a copy with ``inserted`` at ``position_m`` (3,) in metres.
 
-        Raises :class:`InputError` if its package is not that of an object.
+        Raises :class:`InputError` if its package does not contain an object.
         """
         package = open_package(Path(inserted.package))
         if not isinstance(package.asset, ObjectAsset):
@@ -100,8 +100,8 @@ def recovered_scenery(
 ) -> Scenery:
     """Return ``truth`` with the surfaces of ``asset``, the package of a reconstruction, in place of its room.
 
-    ``emission``, RGB radiance by slot, replaces that of the package's lamps, which represent the visible
-    lights named ``lamps``; all other lights and inserted objects are those of ``truth``.
+    ``emission`` (RGB radiance by slot) replaces that of the package's lamps, in place of the visible lights
+    named ``lamps``, which are omitted; other lights, and inserted objects, are those of ``truth``.
     """
     package = open_package(asset)
     configuration = truth.configuration

@@ -238,7 +238,7 @@ def resolve_config(
 def parse_overrides(items: list[str]) -> dict[str, Any]:
     """Parse items such as ``["batch_size=4", "data.workers=2"]``, with YAML values, to nested dictionaries.
 
-    Raises :class:`InputError` for an item of another form.
+    Raises :class:`InputError` for an item of invalid form.
     """
     result: dict[str, Any] = {}
     for item in items:

@@ -145,7 +145,7 @@ class Trainer:
             self.listeners.tell(Event("train", "end", self.folder.path, step=step))
 
     def step(self, phase: Phase, batches: Iterator[dict[str, Tensor]]) -> dict[str, float]:
-        """Run one optimiser step; returns the loss's terms, averaged over micro-batches and ranks.
+        """Run one optimiser step; returns mean loss terms, the gradient norm and the number of skipped crops.
 
         Raises :class:`NonFiniteError` if the loss or a gradient is NaN or Inf.
         """

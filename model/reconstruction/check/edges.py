@@ -54,7 +54,7 @@ class EdgeMatch:
     num_edge_px: int
 
     def surely_px(self, shift: tuple[float, float]) -> float:
-        """Compute the length of ``shift`` minus the standard deviation along it (``blur_px2``), or 0."""
+        """Compute the length of ``shift`` less the standard deviation along it (``blur_px2``), at least 0."""
         length = float(np.hypot(*shift))
         x, y = np.array(shift) / max(length, 1e-9)
         xx, xy, yy = self.blur_px2

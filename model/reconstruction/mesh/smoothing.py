@@ -174,7 +174,7 @@ def _fit_vertices(
 def mended_mesh(capture: Capture, run: Run) -> Capture:
     """Fill holes of the mesh, remove its noise, and report both; a mesh without noise is unchanged.
 
-    Lamps are unchanged. Filled holes are a further part of the mesh, which then has no UVs.
+    Lamps are unchanged. If holes are filled, they are added as a part, and the UVs are lost.
     """
     with run.stage("mesh") as advance:
         before = noise_deg(capture.geometry.mesh)

@@ -52,7 +52,7 @@ class PixelDensity:
 
 
 def pixel_density(views: Iterable[tuple[Camera, ViewGeometry]]) -> PixelDensity:
-    """Sample up to :data:`MAX_PIXELS` pixels of each view."""
+    """Sample the surface pixels of each view at a regular stride, fewer than 2 x ``MAX_PIXELS`` per view."""
     faces, densities = [np.zeros(0, np.int32)], [np.zeros(0)]
     for camera, view in views:
         step = max(1, view.face.size // MAX_PIXELS)
