@@ -10,8 +10,8 @@ and a few tiles. The loop is in ``medians``.
 
 At image borders and silhouettes, the set of merged views changes, which would cause visible steps in the
 merged maps. A pixel's weight therefore decreases to almost 0 towards the nearest border. Distant and grazing
-views blur texture. Where maps are exact, pixels are therefore weighted by the square of their resolution on
-the surface; where maps are predictions, whose errors differ between views, pixels have equal weights.
+views blur texture. Exact maps (confidence 1) are therefore weighted by the square of their resolution on the
+surface; for predictions (confidence 0), whose errors differ between views, resolution has no effect.
 """
 
 from __future__ import annotations
