@@ -87,8 +87,8 @@ class RunProgress(StrictModel):
 
 
 class NonFiniteError(RuntimeError):
-    """A loss, a gradient or a validation metric is NaN or Inf; for a loss or gradient, the message names the
-    file with the batch."""
+    """Exception for a loss, a gradient or a validation metric that is NaN or Inf; except for a metric, the
+    message names the file with the batch."""
 
 
 def save_state(
