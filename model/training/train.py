@@ -135,7 +135,7 @@ class Trainer:
         return phase
 
     def _finish(self) -> None:
-        """Save the final checkpoint and the state, and report the end."""
+        """Save the final checkpoint and the state, and send the event ``end`` to listeners."""
         self.progress = self.progress.model_copy(update={"is_finished": True})
         step = self.progress.total_step
         if self.ranks.is_first:

@@ -57,7 +57,7 @@ class Convolution:
 
 
 def weights_folder() -> Path:
-    """Folder of fetched weights: ``SCENE_MATERIALS_WEIGHTS``, else the user's cache folder."""
+    """Folder of fetched weights: environment variable ``SCENE_MATERIALS_WEIGHTS``, else the cache folder."""
     override = os.environ.get("SCENE_MATERIALS_WEIGHTS")
     if override:
         return Path(override)

@@ -55,7 +55,7 @@ class Reconstruction:
 
     @property
     def shining_lights(self) -> FoundLights | None:
-        """Recovered lights, which replace the capture's known lights; None if none was found or none emits."""
+        """Recovered lights, which replace the capture's known lights; None if there is none or none emits."""
         return None if self.lights is None or self.lights.is_dark else self.lights
 
     @property
