@@ -3,7 +3,7 @@
 
 The wheel is built from the sdist and installed with its dependencies into a new environment, first without
 extras, then with `train`. The sdist is installed into a second environment, which uses the dependencies of
-the first, without another inference. In both, commands run outside the checkout, and every module must be
+the first; inference is not run there. In both, commands run outside the checkout, and every module must be
 imported from the environment. Usage: try_packages.py CONSTRAINTS
 """
 

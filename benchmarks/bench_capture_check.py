@@ -81,7 +81,7 @@ def enlarged(capture: Capture, factor: float) -> Capture:
 
 
 def snapped(capture: Capture, grid_m: float) -> Capture:
-    """Return the capture with vertices rounded to a grid of ``grid_m`` metres and lamps as plain surfaces."""
+    """Return the capture with vertices rounded to multiples of ``grid_m``; lamps become ordinary surfaces."""
     mesh = capture.geometry.mesh
     positions = (np.round(mesh.positions / grid_m) * grid_m).astype(np.float32)
     made = without_degenerate(Mesh(positions, mesh.faces))

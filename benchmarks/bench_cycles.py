@@ -14,7 +14,7 @@ with an empty and with a filled kernel cache.
 The baseline is bpy as used by BlenderProc (cycles_baseline.py): one process, persistent data, path tracing
 with the same number of segments, OIDN with prefiltered albedo and normal, one EXR per view with depth,
 normal, diffuse and glossy colour, object and material index. Its scene is a .blend file of the same
-configuration, whose creation is not timed. It has no roughness, multi-view statistics or error control.
+configuration, whose creation is not timed. Cycles has no roughness, multi-view statistics or error control.
 
 The error is the exposed relMSE (``datagen.rendering.error``) of denoised images of ``--error-views`` views,
 against two independent converged images by the same renderer, because the renderers' materials differ by more
@@ -25,9 +25,9 @@ settings: Blender's defaults with a uniform sample count, Cycles' adaptive sampl
 filter. The baseline is the fastest of the three or, if none reaches the error, the one of smallest error.
 
 Results of steps are stored in --out and reused, so the same command resumes. ``--cycles-views N`` renders N
-views with Cycles; the time of 40 views is then the fixed part + 40 x the median of a view. So are the images
-an hour of each named quality and each sample count of Cycles found, from the error views; the figure
-``bench_cycles.png`` shows them against the error.
+views with Cycles; the time of 40 views is then the fixed part + 40 x the median of a view. The images an hour
+of each named quality and each sample count of Cycles are extrapolated likewise from the error views; the
+figure ``bench_cycles.png`` shows the error against them.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ if TYPE_CHECKING:
 
 FIRST_SAMPLES = 4
 UNBIASED = ("--clamp", "0", "--filter-glossy", "0")
-"""Options that disable clamping and the roughening of surfaces after diffuse bounces, as in references."""
+"""Options that disable clamping and the roughening of surfaces after diffuse bounces, for references."""
 KINDS: dict[str, tuple[str, ...]] = {"fixed": (), "adaptive": ("--adaptive",), "unbiased": UNBIASED}
 """Settings of Cycles that are compared: options by name."""
 MIN_TIMED = 3  # views: the first includes the fixed part, the others determine the median
@@ -141,7 +141,7 @@ class Comparison:
     def rendered(self, name: str, module: str, *command: str) -> dict[str, Any]:
         """Run ``command`` of a module that renders views and writes ``times.json`` into ``folder/name``.
 
-        Returns seconds by view and of other parts.
+        Returns seconds: of the process, until the scene is loaded, and of each view.
         """
         out = self.folder / name
 
@@ -155,7 +155,7 @@ class Comparison:
         return step(self.folder / f"{name}.json", make)
 
     def cycles(self, name: str, views: list[int], samples: int, *options: str) -> dict[str, Any]:
-        """Render ``views`` with Cycles into ``folder/name``; returns what :meth:`rendered` returns."""
+        """Render ``views`` with Cycles into ``folder/name``; the result is as of :meth:`rendered`."""
         command = ["render", str(self.folder / "room.blend"), str(self.folder / name), *map(str, views)]
         command += ["--samples", str(samples), "--max-depth", self.depth, *options]
         return self.rendered(name, "benchmarks.studies.cycles_baseline", *command)
@@ -170,7 +170,7 @@ class Comparison:
         for view in self.error_views:
             image = decode_view((self.folder / name / f"view_{view:03}.exr").read_bytes(), ["beauty"])
             errors.append(relative_mse(image["beauty"].astype(np.float32), *pairs[view], exposed=True))
-        # not the median of Cycles' views: two of ours are in progress at a time and may finish together
+        # the mean, not the median as for Cycles: two views are in progress at a time and may finish together
         total_s = run["start_s"] + self.arguments.views * statistics.fmean(run["views_s"])
         return {"rel_mse": float(np.mean(errors)), "images_an_hour": 3600 * self.arguments.views / total_s}
 
@@ -341,13 +341,13 @@ def rank(cycles: dict[str, Any]) -> tuple[float, ...]:
 
 
 def agrees(agreement: dict[str, Any]) -> bool:
-    """Whether converged images of both renderers agree in brightness and structure."""
+    """True if converged images of both renderers agree in brightness and structure."""
     ratios, correlations = agreement["ratio_of_means"], agreement["correlation"]
     return all(0.8 < ratio < 1.25 for ratio in ratios) and min(correlations) > 0.85
 
 
 def interpolated(curve: dict[int, float], target: float) -> int:
-    """Sample count of error ``target``: ``curve`` (error by count) is interpolated logarithmically."""
+    """Sample count of error ``target``, interpolated between the last points of ``curve``, error by count."""
     *before, high = sorted(curve)
     if not before:
         return high

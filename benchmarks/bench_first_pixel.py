@@ -6,7 +6,7 @@
     python -m benchmarks.bench_first_pixel --profile          profile of the scene's construction
 
 A separate process follows the steps of ``datagen run --unit``: it imports modules, opens the library, reads
-plan and configuration, builds the scene (meshes, textures, hierarchy, BSDFs), and renders the first view with
+plan and configuration, builds the scene (meshes, textures, BVH, BSDFs), and renders the first view with
 one path and one auxiliary sample per pixel into memory. Warm means that an earlier run filled the file cache
 of the operating system and Dr.Jit's kernel cache. Medians of --repeats runs; the target is 10 s on 2 cores.
 """

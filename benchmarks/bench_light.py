@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Errors of maps by room: predicted by the network, then with the albedo scale, then fitted to the light.
+"""Errors of each room's maps: as the network predicts them, with the albedo scale, and fitted to the light.
 
     python -m benchmarks.bench_light SUITE --cache DIR [--rooms NAME ...] [--views 12 80] [--sheet FOLDER]
         [--worse-mesh] [--camera PRESET] [--ablate] [--checkpoint FILE]

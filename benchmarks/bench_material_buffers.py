@@ -37,7 +37,7 @@ def _reflectance(bsdf: Any) -> Any:
 
 
 def load_scene(path: Path, width: int, height: int, merged: bool) -> tuple[Any, Any]:
-    """Load a scene with ``cook_torrance`` as its only BSDF, shapes ``merged`` or not, and its sensor."""
+    """Load a scene and its sensor, with ``cook_torrance`` for every BSDF; ``merged``: merge its shapes."""
     import mitsuba as mi
 
     scene = mi.load_file(str(path), optimize=merged)

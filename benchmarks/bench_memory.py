@@ -131,7 +131,7 @@ def resident_mb() -> float:
 
 
 def measure(configurations: int, views: int, size: tuple[int, int]) -> list[float]:
-    """Render ``configurations`` of ``views`` views; returns the resident megabytes after each."""
+    """Render ``views`` views of each of ``configurations`` rooms; returns resident megabytes after each."""
     memory = []
     with tempfile.TemporaryDirectory() as folder:
         library = write_library(Path(folder))

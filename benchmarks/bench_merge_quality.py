@@ -74,7 +74,7 @@ class Room:
     auto: int
 
     def merged(self, maps: Maps, size: int, folder: Path | None, weights: Weights = "none") -> Atlas:
-        """Merge the maps of all views into an atlas of ``size`` texels per side, and fill unseen texels."""
+        """Merge the maps of all views into an atlas (``size``, ``size``), in files in ``folder`` if given."""
         regions = smooth_regions(self.traced.geometry.mesh)
         views = map_views(self.traced.views, maps)
         merger = MapMerger(views, MergeOptions(weights=weights), None, regions)
@@ -104,8 +104,8 @@ class Room:
 
 def steps(atlas: Atlas, truth: Atlas) -> dict[str, tuple[float, int]]:
     """Sum of absolute differences of D (mean over channels) between neighbouring observed texels where the
-    true D is smooth, and number of such pairs: of different (``border``) and equal (``inside``) numbers of
-    views. The atlases have the same mesh and side.
+    true D is smooth, and number of pairs, for texels merged from different (``border``) and from equal
+    (``inside``) numbers of views. The atlases have the same mesh and side.
     """
     found = {"border": (0.0, 0), "inside": (0.0, 0)}
     for axis in (0, 1):

@@ -70,7 +70,7 @@ class Point:
 
     @property
     def is_known(self) -> bool:
-        """Whether the standard error of the true error is below a quarter of it."""
+        """True if the standard error of the true error is below a quarter of it."""
         return self.true_error < 0.25 * self.true
 
 
@@ -166,7 +166,7 @@ def points_of(room: str, arguments: argparse.Namespace) -> Iterator[Point]:
 
 
 def figures(points: list[Point]) -> dict[str, Any]:
-    """Statistics by name: of recorded / true error over the views of known true error, and of biases."""
+    """Statistics, by name, of the biases, and of recorded / true error over views of known true error."""
     known = [p for p in points if p.is_known]
     ratios = np.array([p.recorded / p.true for p in known])
     return {

@@ -72,7 +72,9 @@ def first_hits(scene, camera: Camera, jitter: tuple[float, float] = (0.5, 0.5)):
 
 
 def capture(scene, camera: Camera, name: str, is_textured: bool) -> StatisticsView:
-    """View of exact buffers at pixel centres; colour is the mean diffuse reflectance of 4x4 positions."""
+    """View of exact buffers at pixel centres. Colour: if ``is_textured``, the mean diffuse reflectance of 4x4
+    positions in the pixel; else a smooth pattern.
+    """
     import drjit as dr
     import mitsuba as mi
 
@@ -166,8 +168,8 @@ def measure_growth(views: list[StatisticsView], repeats: int) -> dict:
 
 
 def measure_visibility(views: list[StatisticsView], scene) -> dict:
-    """Number of pairs (surface point, other view) that are visible by shadow rays, and the pairs visible only
-    by the depth test and only by shadow rays, as shares of it.
+    """Number of pairs (surface point, other view) that are visible by shadow rays; and the pairs visible only
+    by the depth test, and only by shadow rays, as shares of that number.
     """
     packed = PackedViews([view.camera for view in views], [view.depth_z_m for view in views])
     rng = np.random.default_rng(1)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Seconds by stage of a configuration's views in one Mitsuba variant, and differences from another's images.
+"""Seconds by stage of a configuration's views in one Mitsuba variant, and differences from images of another.
 
     datagen plan light --out planned --configurations 1 --views 8
     SCENE_MATERIALS_VARIANT=llvm_ad_rgb python -m benchmarks.bench_variant planned --out llvm.npz
     SCENE_MATERIALS_VARIANT=cuda_ad_rgb python -m benchmarks.bench_variant planned --compare llvm.npz
 
-Prints times over the views after the first two, which compile the kernels (mean of a view, median by stage);
-by buffer, the largest difference and the share of pixels that differ beyond the rounding of half floats; and
-the relMSE of the radiance. Differences are those of the worst view.
+Prints the mean time of a view and the median of each stage, without the first two views, which compile the
+kernels; for each buffer, the largest difference and the share of pixels that differ beyond the rounding of
+half floats; and the relMSE of the radiance. Differences are those of the worst view.
 """
 
 from __future__ import annotations

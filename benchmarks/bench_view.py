@@ -56,7 +56,7 @@ def converted(scene: str, cache: Path) -> Library:
 
 
 def candidates(environment: EnvironmentAsset, size: tuple[int, int]) -> Iterator[Camera]:
-    """Yield the scene's camera, widened to 61 degrees, then random ones within 0.5 rad and 0.2 m of it."""
+    """Yield the scene's camera, widened to 61 degrees, then randomly displaced ones (0.5 rad, 0.2 m)."""
     pose = np.array(environment.cameras[0].asset_from_camera)
     focal = 0.85 * size[0]
     rng = np.random.default_rng(1)
@@ -135,7 +135,7 @@ def references(
 def write_reference(
     path: Path, names: tuple[str, str], renderer: SceneRenderer, view: int, samples: int, label: str
 ) -> None:
-    """Write two independent converged images (H, W, 3) of a view by ``names``, unless ``path`` exists."""
+    """Write two converged images (H, W, 3) of a view, as arrays ``names``, to ``path`` unless it exists."""
     if path.is_file():
         return
     start = time.perf_counter()
@@ -200,7 +200,7 @@ def measure(renderer: SceneRenderer, configuration: Configuration, compression: 
 def measure_error(
     configuration: Configuration, library: Library, recipe: RenderRecipe, pairs: dict[int, tuple[Any, Any]]
 ) -> dict[str, Any]:
-    """relMSE of denoised images against the ``pairs`` of references by view, for three seeds."""
+    """relMSE of denoised images against the ``pairs`` of references by view, as means of three seeds."""
     result: dict[str, Any] = {}
     for exposed in (False, True):
         errors = {view: [] for view in pairs}  # type: dict[int, list[float]]

@@ -25,14 +25,14 @@ RESULTS = REPOSITORY / "benchmarks" / "results"
 
 
 class Seconds(NamedTuple):
-    """Seconds of wall time, and of processor time of all threads, which hardly depends on other work."""
+    """Seconds of wall time, and of processor time of all threads, which other processes hardly affect."""
 
     wall: float
     cpu: float
 
 
 def timed(action: Action) -> Seconds:
-    """Time of one call of ``action``, which must wait for its device."""
+    """Time of one call of ``action``, which must return only when its device has finished."""
     wall, cpu = time.perf_counter(), time.process_time()
     action()
     return Seconds(time.perf_counter() - wall, time.process_time() - cpu)

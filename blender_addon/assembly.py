@@ -239,7 +239,7 @@ class _Assembly:
         return slot_name, baked
 
     def _window_side(self, instance: Instance, slot: int, plan: MaterialPlan, window: Window) -> float:
-        """Side (Blender units) of the surface square covered by the window, which determines bump heights."""
+        """Side (Blender units) of the square of surface under the window, on which bump slopes depend."""
         mesh = self.contents.gathered.meshes[instance.mesh_key]
         frame = plan.frame
         layer = (frame.layer if frame is not None else "") or mesh.active_uv

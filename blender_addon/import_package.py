@@ -39,7 +39,7 @@ class Imported:
 def import_package(path: Path) -> Imported:
     """Load a package (its folder, its ``asset.json`` or a zip) into a new collection of the scene.
 
-    An environment light becomes the scene's world, and the first camera becomes the scene's camera if it had
+    An environment light becomes the scene's world, and the first camera becomes the scene's camera if it has
     none. Images of a zip are stored in the .blend file. Raises ``ValueError`` for an invalid package or a
     version of Blender that is too old, and ``KeyError`` for a missing field; then nothing is added.
     """
@@ -174,7 +174,7 @@ def _add_parts(
 
 
 def _is_sheared(matrix: NDArray[np.float64]) -> bool:
-    """Whether location, rotation and scale cannot represent a matrix (4, 4)."""
+    """True if location, rotation and scale cannot represent a matrix (4, 4)."""
     kept = np.array(Matrix.LocRotScale(*Matrix(matrix.tolist()).decompose()))
     return bool(np.abs(kept - matrix).max() > _SHEAR * np.abs(matrix[:3, :3]).max() + 1e-6)
 

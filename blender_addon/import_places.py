@@ -98,7 +98,7 @@ class Places:
         return thing
 
     def _blend(self, name: str, half_angle: float, beam_width: float) -> float:
-        """Spot blend in [0, 1] that gives the flux of a linear fall-off between the two angles [rad]."""
+        """Spot blend in [0, 1] with the flux of a linear fall-off from ``beam_width`` to ``half_angle``."""
         if beam_width >= fitted_beam_width(half_angle, 0.0) - 1e-5:
             return 0.0
         if beam_width < fitted_beam_width(half_angle, 1.0) - 1e-5:

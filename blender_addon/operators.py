@@ -45,7 +45,7 @@ class ProblemItem(bpy.types.PropertyGroup):
 
 
 class ExportOptions(bpy.types.PropertyGroup):
-    """The panel's settings, stored in the window manager, not in the file."""
+    """The panel's settings, stored in the window manager, not in the .blend file."""
 
     directory: StringProperty(name="Folder", subtype="DIR_PATH", default="//packages/")  # type: ignore[valid-type]
     kind: EnumProperty(name="Kind", items=KIND_ITEMS, default="auto")  # type: ignore[valid-type]

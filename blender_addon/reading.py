@@ -40,7 +40,7 @@ from .targets import Target
 class Contents:
     """A target with all data read from the scene.
 
-    ``copies``: meshes to bake, by key; ``images``: pixels (H, W, 3) of environment lights, by name;
+    ``copies``: meshes to bake, by mesh key; ``images``: pixels (H, W, 3) of environment lights, by name;
     ``extra``: further fields of ``asset.json``.
     """
 
@@ -67,7 +67,7 @@ def rendering_layers() -> dict[str, str]:
 
 
 class Reader:
-    """Reads the targets of one export from ``scene``; each material is planned once."""
+    """Reads the targets of one export from ``scene``, of which ``depsgraph`` returns the dependency graph."""
 
     def __init__(
         self,

@@ -13,12 +13,12 @@ class ExportSettings:
     """Scope and accuracy of an export. Values out of range raise ``ValueError``.
 
     ``kind``: ``auto`` follows the ``sm_role`` tags, and exports the scene as one environment if there are
-    none. ``tolerance``: mean absolute change of a channel below which a texture is not enlarged.
-    ``max_texture_px``: maximum side of a texture (a power of two). ``bake_normals``: bump and normal maps
-    become a normal texture. ``texture_bits``: 8 or 16. ``only``: names of the objects, collections or
-    materials to export (empty: everything tagged). ``license``, ``author``, ``source``: provenance where the
-    asset has no such tags. ``report``: write the fidelity report. ``report_python``: Python executable, with
-    this project installed, that renders the report.
+    none; the others export assets of one kind. ``tolerance``: mean absolute change of a channel below which a
+    texture is not enlarged. ``max_texture_px``: maximum side of a texture (a power of two). ``bake_normals``:
+    bump and normal maps become a normal texture. ``texture_bits``: 8 or 16. ``only``: names of the objects,
+    collections or materials to export (empty: everything tagged). ``license``, ``author``, ``source``:
+    provenance of assets without these tags. ``report``: write the fidelity report. ``report_python``: Python
+    executable, with this project installed, that renders the report.
     """
 
     kind: str = "auto"

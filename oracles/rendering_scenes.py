@@ -25,7 +25,7 @@ GREY = SlotMaterial(diffuse_albedo=(0.5, 0.5, 0.5), specular_albedo=(0.0, 0.0, 0
 
 
 def quad(origin: Any, edge_u: Any, edge_v: Any, *, has_uv: bool = True, flip_u: bool = False) -> Mesh:
-    """Rectangle with normal edge_u x edge_v and corner ``origin`` [m] at UV (0, 0); ``flip_u``: (1, 0)."""
+    """Rectangle of a corner [m] and two edges, with normal edge_u x edge_v; ``flip_u`` mirrors the UVs."""
     o, u, v = (np.asarray(a, dtype=np.float64) for a in (origin, edge_u, edge_v))
     normal = np.cross(u, v)
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
@@ -62,8 +62,9 @@ def down_camera(
 class SmallScene:
     """Assets of a small library: an environment, objects and materials.
 
-    Environment: ``parts``, (mesh, slot) by name; ``slots``, material by slot; ``files``, content by name.
-    ``objects``: (mesh, material of the slot ``skin``) by id. ``materials``: (material, files) by id.
+    Environment: ``parts``, (mesh, slot) by name; ``slots``, material by slot; ``files``, content by name;
+    ``uv_per_m`` of all parts. ``objects``: (mesh, material of the slot ``skin``) by id. ``materials``:
+    (material, files) by id.
     """
 
     parts: dict[str, tuple[Mesh, str]] = field(

@@ -18,7 +18,7 @@ def inner_product(axis1: NDArray, sharpness1: float, axis2: NDArray, sharpness2:
 
 
 def irradiance(sharpness: float, cos_beta: float, num_z: int = 3000, num_phi: int = 600) -> float:
-    """Integral over the hemisphere of a lobe times the cosine; beta: angle between lobe axis and normal."""
+    """Integral over the hemisphere of a lobe times the cosine; beta is the angle from lobe axis to normal."""
     z = (np.arange(num_z) + 0.5) / num_z
     phi = (np.arange(num_phi) + 0.5) / num_phi * 2 * np.pi
     z, phi = np.meshgrid(z, phi, indexing="ij")

@@ -2,9 +2,9 @@
 """Multi-view statistics in float64 NumPy, twice: pixel by pixel in plain loops, and vectorised over pixels.
 
 The loops follow the definitions literally. The vectorised version must return equal results; it also returns
-each pixel's margin to the nearest threshold, where float32 could decide differently, and is the baseline for
-speed. Both are independent of the kernels that they check. A view is any object with ``camera``, ``color``
-(H, W, 3), ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3) and ``surface_mask`` (H, W, 1).
+each pixel's margin to the nearest threshold (float32 may decide differently if it is small), and is the
+baseline for speed. Both are independent of the kernels that they check. A view is any object with ``camera``,
+``color`` (H, W, 3), ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3) and ``surface_mask`` (H, W, 1).
 """
 
 from __future__ import annotations

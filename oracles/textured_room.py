@@ -21,7 +21,10 @@ _AXES = (0, 0, 1, 1, 2, 2)
 
 
 def _quad(low: NDArray, high: NDArray, side: int, is_inward: bool) -> NDArray:
-    """Corners (4, 3) of a box's ``side``, counter-clockwise seen from inside (``is_inward``) or outside."""
+    """Corners (4, 3) of a box's side, counter-clockwise seen from inside (``is_inward``) or outside.
+
+    ``side``: 0 to 5 for low x, high x, low y, high y, low z, high z.
+    """
     axis, at = _AXES[side], (low, high)[side % 2]
     a, b = (axis + 1) % 3, (axis + 2) % 3
     corners = np.empty((4, 3))

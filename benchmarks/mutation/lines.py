@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Recording of the lines of given files that a process executes."""
+"""Records which lines of given files a process executes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Lines = set[tuple[str, int]]
 
 
 class Tracer:
-    """Trace function that collects the executed lines of ``files`` in ``lines``."""
+    """Trace function that collects executed lines of ``files`` in ``lines``, and calls ``new`` for each."""
 
     def __init__(self, files: list[str]):
         self.files = set(files)

@@ -78,7 +78,7 @@ RECIPE = {
 
 
 def walk(num: int, size: tuple[int, int]) -> list[ViewCamera]:
-    """``num`` cameras on a circle around the room's centre, at two heights in turn, directed across it."""
+    """``num`` cameras around the room's centre, at two alternating heights, directed across the room."""
     width, height = size
     focal = 0.5 * width / float(np.tan(np.radians(FOV_X_DEG) / 2))
     made = []
@@ -114,7 +114,7 @@ def jpeg(pixels: NDArray[np.uint8], camera: Camera) -> bytes:
 
 @dataclass
 class EndToEnd:
-    """The steps of the pipeline, in order; each stores its result in ``out``, a folder for its options."""
+    """The steps of the pipeline, in order; each stores its result in a subfolder of ``out``."""
 
     out: Path
     views: int

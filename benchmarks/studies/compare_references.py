@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Imported scenes compared with their reference images: Mitsuba's own BSDFs, and the converted materials.
+"""Imported scenes with Mitsuba's own BSDFs, and with converted materials, compared with reference images.
 
     python -m benchmarks.studies.compare_references                     all scenes, JSON and a table
     python -m benchmarks.studies.compare_references --scenes staircase --width 160 --samples 64

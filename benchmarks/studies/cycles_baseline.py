@@ -120,8 +120,8 @@ def _add_sky(image: Path) -> None:
 @dataclass(frozen=True)
 class Sampling:
     """Settings of Cycles: ``samples`` per pixel; ``max_depth`` in path segments; ``noisy``: without denoiser
-    and its passes; ``clamp``: limit of indirect light, 0 for none; ``filter_glossy``: blur of glossy
-    reflections after diffuse bounces, 0 for none.
+    and ground-truth passes; ``adaptive``: sampling that stops early where noise is low; ``clamp``: limit of
+    indirect light, and ``filter_glossy``: blur of glossy reflections after diffuse bounces, 0 for none.
     """
 
     samples: int = 32

@@ -195,7 +195,7 @@ def write_references(folder: Path, out: Path, views: list[int], samples: int) ->
 
 
 def render_quality(folder: Path, out: Path, views: list[int], quality: str) -> None:
-    """Write ``view_000.exr`` etc. at a named quality, and times like those of Cycles to ``times.json``."""
+    """Write ``view_000.exr`` etc. at a named quality, and ``times.json`` as in cycles_baseline.py."""
     configuration, library, _ = open_folder(folder)
     renderer = SceneRenderer(configuration, library, RenderRecipe.model_validate({"quality": quality}))
     loaded = time.time()

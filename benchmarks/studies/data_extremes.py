@@ -4,7 +4,7 @@
     python -m benchmarks.studies.data_extremes            all tables as Markdown
 
 ``tests/benchmarks/test_extremes.py`` checks the results of the same functions. The scene of boxes is in
-``oracles``.
+``oracles/multiview_scenes.py``.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ _SMALL_TRANSMISSION = 0.1
 
 @dataclass(frozen=True)
 class _LeftOut:
-    """A node input that is not exported: possible names, its effect, and the resulting error."""
+    """A node input that is not exported: names by version of Blender, effect, and resulting error."""
 
     names: tuple[str, ...]
     effect: str

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Determines whether the values of a shader graph depend on UV maps, the mesh or the instance's transform."""
+"""Determines on which inputs the values of a shader graph depend: UV maps, mesh or instance's transform."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Dependencies:
 
     @property
     def is_periodic(self) -> bool:
-        """Whether all images repeat and UVs are used only to read images."""
+        """True if all images repeat and UVs are used only to read images."""
         return self.repeats and None not in self.frames
 
     @property
@@ -78,7 +78,7 @@ class Dependencies:
 
     @property
     def needs_mesh(self) -> bool:
-        """Whether the values must be baked on the mesh rather than on a plane."""
+        """True if the values must be baked on the mesh rather than on a plane."""
         return self.mesh or self.world or len(self.uv_layers) > 1
 
     @property
@@ -105,7 +105,7 @@ class DependencyWalk:
     """Collects the dependencies of expressions from the nodes upstream in a material's tree.
 
     ``rendering_layer``: name of the active UV layer if all meshes with the material share it, else "". Nodes
-    with this layer's name and nodes without a name then read the same layer.
+    that name this layer and nodes that name none then read the same layer.
     """
 
     def __init__(
@@ -197,7 +197,7 @@ class DependencyWalk:
             if socket.type == "SHADER":
                 continue
             if node.type in ("FRESNEL", "LAYER_WEIGHT") and socket.name == "Normal":
-                continue  # at normal incidence by definition
+                continue  # evaluated at normal incidence, so its normal has no effect
             source = source_of(stack, socket)
             if source.node is not None and source.socket is not None:
                 self._visit(source.stack, source.node, source.socket)

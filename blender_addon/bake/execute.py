@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bakes channel expressions to arrays with Cycles' EMIT bake, in a separate scene.
+"""Bakes the expressions of material channels to arrays, by Cycles' EMIT bake in a separate scene.
 
 All created data (scene, copies of materials and groups, images, meshes) belongs to a :class:`BakeSession` and
 is removed when it closes, also after errors.
@@ -29,16 +29,16 @@ _VECTOR_MATH = {
 _SCALAR_MATH = {**_VECTOR_MATH, "sqrt": "SQRT"}
 Array = NDArray[np.float32]
 _NOT_BAKED = -1.0
-"""Initial value of texels; an EMIT or NORMAL bake never writes it. (Alpha does not mark covered texels: a
-bake that clears its image sets it to 1 everywhere.)"""
+"""Initial value of texels, which EMIT and NORMAL bakes never write. (Alpha does not mark baked texels: a bake
+that clears its image sets it to 1 everywhere.)"""
 
 
 @dataclass(frozen=True)
 class WorkingMaterial:
     """A copy of a material; ``outputs`` maps each channel to a socket of its top-level tree or a constant.
 
-    ``emission`` emits the channel to bake; ``target`` names the image that receives it; ``surface`` is the
-    socket of the original surface, for baking normals.
+    ``emission`` is the Emission node of the channel to bake, ``target`` the Image Texture node of the image
+    that receives it; ``surface`` is the output of the original shader, for baking normals, None without one.
     """
 
     material: bpy.types.Material
@@ -104,7 +104,10 @@ class BakeSession:
         expressions: dict[str, Expression],
         object_info: dict[str, tuple[float, ...]] | None = None,
     ) -> WorkingMaterial:
-        """Copy a material and add nodes for ``expressions``; ``object_info`` replaces Object Info nodes."""
+        """Copy a material and add nodes for ``expressions``, by channel.
+
+        ``object_info``: values that replace Object Info nodes, by name of the output.
+        """
         copy = self.own(bpy.data.materials, material.copy())
         copy.name = f"{_PREFIX}{material.name}"
         tree = copy.node_tree
@@ -132,9 +135,9 @@ class BakeSession:
     def plane(
         self, material: bpy.types.Material, uv_layers: dict[str, Array], side: float, active: str
     ) -> bpy.types.Object:
-        """Create a square in the XY plane from 0 to ``side`` with UVs (4, 2) by layer at its corners.
+        """Create a square in the XY plane, from 0 to ``side`` (Blender units) along both axes.
 
-        ``active``: name of the layer that nodes without a layer name read.
+        ``uv_layers``: UVs (4, 2) of its corners, by layer. ``active``: the layer of nodes that name none.
         """
         mesh = self.own(bpy.data.meshes, bpy.data.meshes.new(f"{_PREFIX}plane"))
         mesh.from_pydata([(0, 0, 0), (side, 0, 0), (side, side, 0), (0, side, 0)], [], [(0, 1, 2, 3)])
@@ -192,7 +195,7 @@ class BakeSession:
     def bake_normal(
         self, thing: bpy.types.Object, working: WorkingMaterial, size: int
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Bake tangent-space normals of the original surface as (n + 1) / 2, +Y up; see :meth:`bake`."""
+        """Bake tangent-space normals of the original surface as (n + 1) / 2, +Y up, like :meth:`bake`."""
         tree = working.material.node_tree
         end = tree.get_output_node("CYCLES").inputs["Surface"]
         assert working.surface is not None
@@ -239,7 +242,7 @@ class _Builder:
     _built: dict[Expression, bpy.types.NodeSocket | Constant] = field(default_factory=dict)
 
     def fix_object_info(self, tree: bpy.types.NodeTree, path: tuple[str, ...]) -> None:
-        """Replace links from Object Info nodes by the instance's values, in this tree and its groups."""
+        """Replace links from Object Info nodes by values, in ``tree``, at the groups ``path``, and below."""
         for node in list(tree.nodes):
             if node.type == "GROUP" and node.node_tree is not None:
                 self._make_single((*path, node.name), node)
@@ -258,7 +261,7 @@ class _Builder:
                         tree.links.new(source.outputs[0], link.to_socket)
 
     def _make_single(self, path: tuple[str, ...], node: bpy.types.Node) -> None:
-        """Replace a group node's tree, once, by a copy for this node."""
+        """Replace a group node's tree by a copy that no other node uses, unless done before."""
         if path not in self._single_user:
             node.node_tree = self.session.own(bpy.data.node_groups, node.node_tree.copy())
             node.node_tree.name = f"{_PREFIX}group"

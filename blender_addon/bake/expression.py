@@ -4,7 +4,7 @@
 Each channel of the project's BSDF is an expression. Constants are folded during construction, which reveals
 expressions that are constant or a single socket; all other expressions are built from math nodes and baked.
 ``width``: 1 for a scalar, 3 for a linear Rec.709 colour or a vector. A scalar combined with a colour is
-repeated.
+repeated to three components.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ ZERO, ONE, BLACK = constant(0), constant(1), constant(0, 0, 0)
 
 
 def is_constant(expression: Expression, value: float | None = None) -> bool:
-    """Whether the expression is constant and, if ``value`` is given, equals it in every component."""
+    """True if the expression is constant and, if ``value`` is given, equals it in every component."""
     return isinstance(expression, Constant) and (
         value is None or all(component == value for component in expression.value)
     )

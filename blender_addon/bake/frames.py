@@ -18,7 +18,7 @@ from .graph import Stack, input_of, source_of, value_of
 class UvFrame:
     """Affine map ``matrix`` @ (u, v, 1) from the UVs of a layer to texture coordinates.
 
-    ``layer`` is "" for the active render layer. ``matrix`` is rounded, so equal maps compare equal.
+    ``layer`` is "" for the active render layer. ``matrix`` is rounded, so that equal maps compare equal.
     """
 
     layer: str
@@ -71,7 +71,7 @@ def _mapping_matrix(stack: Stack, node: bpy.types.Node) -> NDArray[np.float64] |
 
 
 def image_frame(stack: Stack, node: bpy.types.Node) -> UvFrame | None:
-    """The affine map from a UV layer to an Image Texture node's coordinates; None if there is none."""
+    """The affine map from a UV layer to an Image Texture node's coordinates; None if they are no such map."""
     legacy = node.texture_mapping
     steps = (legacy.translation, legacy.rotation, legacy.scale)
     if tuple(map(tuple, steps)) != ((0, 0, 0), (0, 0, 0), (1, 1, 1)):

@@ -31,9 +31,10 @@ NORMAL = "normal"
 
 @dataclass(frozen=True)
 class PlainImage:
-    """A channel exported as an unchanged image; ``channel``: rgb, r, g, b or a, ``encoding``: srgb or linear.
+    """A material channel exported as an unchanged ``image``, sampled at the coordinates of ``frame``.
 
-    ``needs_unit_uv``: the image does not repeat, so it cannot be used beyond the unit square.
+    ``channel``: rgb, r, g, b or a of the image; ``encoding``: srgb or linear; ``needs_unit_uv``: the image
+    does not repeat, so it cannot be used beyond the unit square.
     """
 
     image: bpy.types.Image
@@ -47,10 +48,10 @@ class PlainImage:
 class MaterialPlan:
     """Export plan of one material.
 
-    Channels by name: ``constants`` have one value; ``images``, with the normal map if exported unchanged, are
-    used as files; ``varying`` are baked on a plane, or on the mesh if ``needs_mesh``. ``frame`` maps the
-    mesh's UVs to texture coordinates (None: a new layout, or no texture). ``bakes_normal``: the linked Normal
-    inputs ``normals`` are baked.
+    Channels, by name: ``constants`` are evaluated once; ``images``, possibly including the normal map, are
+    exported as unchanged files; ``varying`` are baked on a plane, or on the mesh if ``needs_mesh``. ``frame``
+    maps the mesh's UVs to texture coordinates (None: a new layout, or no texture). ``normals``: linked Normal
+    inputs, which are baked if ``bakes_normal``.
     """
 
     name: str
@@ -66,7 +67,7 @@ class MaterialPlan:
 
     @property
     def needs_mesh(self) -> bool:
-        """Whether a channel must be baked on each mesh."""
+        """True if a channel must be baked on each mesh."""
         return (bool(self.varying) or self.bakes_normal) and self.dependencies.needs_mesh
 
     @property
@@ -238,7 +239,7 @@ def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: boo
 def plain_normal(
     normals: list[tuple[Stack, bpy.types.NodeSocket]], rendering_layer: str
 ) -> PlainImage | None:
-    """The normal map that all Normal inputs sample through ``rendering_layer``, unrotated; else None."""
+    """The normal map that all Normal inputs sample, unrotated, through ``rendering_layer``; else None."""
     sources = [source_of(stack, socket) for stack, socket in normals]
     node = sources[0].node
     if node is None or node.type != "NORMAL_MAP" or any(source.node != node for source in sources):

@@ -32,7 +32,8 @@ UNIT_WINDOW: Window = (0.0, 0.0, 1.0, 1.0)
 class BakedTexture:
     """A baked texture: linear ``pixels`` (H, W, C), float32, row 0 at v = 0.
 
-    ``error``: mean absolute difference from the finest bake or, at the size limit, from half the size.
+    ``error``: mean absolute difference from the finest bake or, if cut at the size limit, between this bake
+    and one of half the size.
     """
 
     pixels: Array
@@ -60,8 +61,8 @@ def padded_mask(size: int) -> NDArray[np.bool_]:
 def _enough_px(plan: MaterialPlan, window: Window) -> int | None:
     """Side of a square texture over the window that preserves all detail of the material's images.
 
-    The side is twice that of the images unless the texture's texels coincide with theirs. None if values
-    other than images vary.
+    The side is doubled unless the texture's texels coincide with those of an image. None if values other than
+    images vary.
     """
     detail = plan.dependencies.detail_px
     if detail is None or plan.frame is None:
@@ -81,6 +82,7 @@ class BakedMaterial:
 
     ``frame`` maps the mesh's UVs to texture coordinates; then the window (u0, v0, u1, v1) is mapped to the
     unit square. ``uv`` (C, 2), by face corner, replaces the UVs if the mesh has a new layout.
+    ``normal``: the baked normal texture, None without one.
     """
 
     channels: dict[str, Channel] = field(default_factory=dict)
@@ -115,9 +117,9 @@ class MaterialBaker:
         side: float = 1.0,
         layer_names: tuple[str, ...] = (),
     ) -> BakedMaterial:
-        """Bake a material on a plane of ``side`` (Blender units).
+        """Bake a material over the texture coordinates ``window``, on a square of ``side`` (Blender units).
 
-        ``layer_names``: UV layers to which its nodes refer.
+        ``object_info``: values of Object Info nodes, by output; ``layer_names``: UV layers that nodes name.
         """
         result = BakedMaterial(frame=plan.frame, window=window)
         result.channels.update(plan.images)
@@ -255,7 +257,7 @@ class MaterialBaker:
         pixels: Array,
         mask: NDArray[np.bool_],
     ) -> bool:
-        """Whether a bake at another size has the same mean and deviation; if not, ``pixels`` are aliased."""
+        """True if mean and deviation agree with a bake at another size; else ``pixels`` may be aliased."""
         other, other_mask = self._bake(thing, working, name, _ODD_PX)
         if not other_mask.any():
             return False

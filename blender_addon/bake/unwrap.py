@@ -15,7 +15,7 @@ from .textures import BORDER
 
 _ISLAND_MARGIN = 0.004  # of the unit square: two texels at 512
 _DOMAINS = {"vert": "POINT", "edge": "EDGE", "poly": "FACE"}
-_LARGEST_CHECKED = 200_000  # triangles; testing the layout of a larger mesh costs more than a new one
+_LARGEST_CHECKED = 200_000  # triangles; testing the UVs of a larger mesh takes longer than a new unwrap
 
 
 def bake_layout(
@@ -23,8 +23,8 @@ def bake_layout(
 ) -> NDArray[np.float32]:
     """UVs (C, 2) of face corners for baking the slot's faces; adds the layer ``BAKE_UV`` to the mesh.
 
-    A border of the unit square stays free, since texture lookups repeat. The mesh's active UVs are used if
-    they are a valid unwrap; otherwise Smart UV Project creates new ones.
+    A border of the unit square stays free, since texture lookups wrap around. The mesh's active UVs are used
+    if they are a valid unwrap; otherwise Smart UV Project creates new ones.
     """
     mesh = thing.data
     if BAKE_UV not in mesh.uv_layers:

@@ -43,7 +43,7 @@ class MeshArrays:
 
     @property
     def is_smooth(self) -> bool:
-        """Whether normals belong to vertices rather than to corners."""
+        """True if normals belong to vertices rather than to corners."""
         return len(self.normals) == len(self.positions) and len(self.normals) != len(self.corner_vertices)
 
 
@@ -162,7 +162,7 @@ def _merge(columns: list[NDArray]) -> tuple[NDArray, NDArray]:
 
 
 def is_unit_unwrap(mesh: MeshArrays, uv: FloatArray, slot: int | None = None) -> bool:
-    """Whether the UVs (C, 2) are in [0, 1]^2, with few degenerate triangles and little overlap."""
+    """True if the UVs (C, 2) are in [0, 1]^2, with few degenerate triangles and little overlap."""
     triangles = mesh.triangles if slot is None else mesh.triangles[mesh.triangle_slots == slot]
     corners = uv[triangles]
     if not np.isfinite(corners).all() or corners.min() < -1e-5 or corners.max() > 1 + 1e-5:

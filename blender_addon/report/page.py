@@ -55,7 +55,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """Largest distance [px] between projections of the same points in Blender and by an exported camera."""
+    """Largest distance [px] between projections of the same points in Blender and by the exported camera."""
 
     name: str
     error_px: float
