@@ -67,7 +67,7 @@ FIRST_SAMPLES = 4
 UNBIASED = ("--clamp", "0", "--filter-glossy", "0")
 """Options that disable clamping and the roughening of surfaces after diffuse bounces, for references."""
 KINDS: dict[str, tuple[str, ...]] = {"fixed": (), "adaptive": ("--adaptive",), "unbiased": UNBIASED}
-"""Settings of Cycles that are compared: options by name."""
+"""Options of each compared setting of Cycles, by name."""
 MIN_TIMED = 3  # views: the first includes the fixed part, the others determine the median
 
 
@@ -155,7 +155,7 @@ class Comparison:
         return step(self.folder / f"{name}.json", make)
 
     def cycles(self, name: str, views: list[int], samples: int, *options: str) -> dict[str, Any]:
-        """Render ``views`` with Cycles into ``folder/name``; the result is as of :meth:`rendered`."""
+        """Render ``views`` with Cycles into ``folder/name``; returns the result of :meth:`rendered`."""
         command = ["render", str(self.folder / "room.blend"), str(self.folder / name), *map(str, views)]
         command += ["--samples", str(samples), "--max-depth", self.depth, *options]
         return self.rendered(name, "benchmarks.studies.cycles_baseline", *command)

@@ -36,7 +36,7 @@ from datagen.library import Library
 
 
 def plan_folder(root: Path, num_units: int, library: Library) -> tuple[DatasetFolder, Recipe]:
-    """Write a folder of ``num_units`` unplanned configurations of 40 cameras; returns it and its recipe."""
+    """Write a dataset folder of ``num_units`` configurations, without a plan; returns it and its recipe."""
     folder = DatasetFolder(root)
     for path in (folder.shards_path, folder.units_path, folder.configuration_path("x").parent):
         path.mkdir(parents=True)

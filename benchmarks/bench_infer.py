@@ -43,7 +43,7 @@ from model.reconstruction.predict.sources import CheckpointMaps
 from oracles.textured_room import MapSource, room_capture
 
 PAPER_MINUTES = {"statistics": 7.56, "prediction": 3.93, "texturing": 3 * 3.12}
-"""Minutes by stage for Veach Ajar, 160 views, 16K atlas, three maps, on a Xeon 5218 and a Quadro RTX 5000."""
+"""The paper's minutes by stage: Veach Ajar, 160 views, 16K atlas, three maps; Xeon 5218, Quadro RTX 5000."""
 STAGES = {
     "statistics": ("trace", "check", "statistics"),
     "prediction": ("predict", "write maps"),

@@ -84,7 +84,7 @@ def measured(maps: list[Maps], truth: list[dict[str, NDArray]]) -> str:
 
 
 def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[dict[str, NDArray]]) -> None:
-    """Write a picture of three views: D of network, light and ground truth, R of light and ground truth."""
+    """Write three views, one per row: D of network, light fit and truth; R of light fit and truth."""
     from PIL import Image
 
     def tile(maps: dict[str, NDArray], name: str) -> NDArray:
@@ -103,7 +103,7 @@ def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[d
 
 
 def rows(traced: TracedCapture, run: Run, checkpoint: Path, sheet: Path | None, ablates: bool) -> None:
-    """Print a room's rows of the table, including a row per omitted step if ``ablates``."""
+    """Print a room's rows of the table, with a row per omitted step if ``ablates``; write its ``sheet``."""
     truth = [view.source.read_maps((*MATERIAL_MAPS, "surface_mask")) for view in traced.capture.views]
     name = f"{traced.capture.name} | {len(truth)}"
     source = CheckpointMaps(checkpoint)

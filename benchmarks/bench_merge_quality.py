@@ -60,9 +60,9 @@ MAX_SIDE = 4096
 class Room:
     """A rendered capture, traced and unwrapped.
 
-    ``sides``: as returned by :func:`seen_sides`; ``uv``: UVs (H, W, 2) of each view's pixels, NaN off the
-    surface; ``truth``: the views' true maps; ``auto``: side of the atlas in texels at the views' pixel
-    density.
+    ``sides``: 1 or -1 by face, the visible side (:func:`seen_sides`); ``uv``: UVs (H, W, 2) of each view's
+    pixels, NaN off the surface; ``truth``: the views' true maps; ``auto``: side of the atlas in texels at the
+    views' pixel density.
     """
 
     capture: Capture

@@ -31,7 +31,7 @@ SLACK, TIME_SLACK = 1.25, 1.5
 
 
 def planned_rooms(out: Path, configurations: int) -> Path:
-    """Plan a number of ``configurations`` of bundled rooms, unless ``out`` has them; returns their folder."""
+    """Plan a number of ``configurations`` of bundled rooms unless done; returns their folder in ``out``."""
     count = ObjectRecipe(count=(10, 24))
     recipe = Recipe(name="qualities", seed=71, configurations=configurations, views=12, objects=count)
     return planned_folder(out / f"plan-{configurations}", recipe, out / "recipe.yaml")

@@ -42,7 +42,7 @@ from datagen.rendering.transport.integrator import PathTracer
 
 BUNDLED = ("living_room", "kitchen", "bathroom", "dining_room", "study")
 IMPORTED = ("staircase", "veach-ajar", "bathroom2", "staircase2", "contemporary")
-FOLDERS = {"contemporary": "bathroom"}  # scenes with the same name as a bundled room
+FOLDERS = {"contemporary": "bathroom"}  # a bundled room is also named bathroom
 BLOCK_PX = 16
 IMAGE = REPOSITORY / "docs" / "images" / "recorded_error.png"
 
@@ -103,7 +103,7 @@ def reference_paths(
 def references(
     renderer: SceneRenderer, room: str, view: int, samples: int, cache: Path
 ) -> list[NDArray[np.float32]]:
-    """Independent images (H, W, 3) of reflected light, rendered unless they are in ``cache``."""
+    """Independent images (H, W, 3) of reflected light, of ``samples`` paths in total, stored in ``cache``."""
     camera = renderer.configuration.cameras[view].camera()
     paths = reference_paths(renderer.configuration, room, view, samples, cache)
     for part, path in enumerate(paths):

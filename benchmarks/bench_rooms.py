@@ -2,8 +2,8 @@
 """Cost and variety of generated rooms: ``python -m benchmarks.bench_rooms [--seeds N] [--json FILE]``.
 
 For N seeds of every kind of room: processor seconds, bytes of the package, and number of attempts; minimum,
-median and maximum of the number of pieces of furniture, floor area, proportion, number of windows and their
-width; the shares of windows with curtains, with a blind and with a radiator.
+median and maximum of the number of pieces of furniture, floor area, ratio of its sides, number of windows and
+their width; the shares of windows with curtains, with a blind and with a radiator.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ def converted(scene: str, cache: Path) -> Library:
 
 
 def candidates(environment: EnvironmentAsset, size: tuple[int, int]) -> Iterator[Camera]:
-    """Yield the scene's camera, widened to 61 degrees, then randomly displaced ones (0.5 rad, 0.2 m)."""
+    """Yield the scene's camera, widened to 61 degrees, then copies turned and moved at random."""
     pose = np.array(environment.cameras[0].asset_from_camera)
     focal = 0.85 * size[0]
     rng = np.random.default_rng(1)
@@ -73,8 +73,8 @@ def candidates(environment: EnvironmentAsset, size: tuple[int, int]) -> Iterator
 def lit_views(
     base: Configuration, library: Library, environment: EnvironmentAsset, count: int
 ) -> list[Camera]:
-    """The first ``count`` candidates that are not inside walls, judged by images of a tenth of the size: at
-    least a fifth of the first image's median radiance, and less than 5 % of the pixels nearer than 0.3 m.
+    """The first ``count`` of :func:`candidates` that are outside walls, judged by images of a tenth of the
+    size: at least a fifth of the first image's median radiance, less than 5 % of the pixels within 0.3 m.
     """
     recipe = RenderRecipe(path_samples=64, auxiliary_samples=4, denoise=False)
     chosen: list[Camera] = []

@@ -55,7 +55,7 @@ def interleaved(actions: Mapping[str, Action], repeats: int, warm_up: int = 1) -
 
 
 def median_seconds(action: Action, repeats: int, clock: str = "wall") -> float:
-    """Median seconds of ``action`` over ``repeats`` calls, by a ``clock``, ``wall`` or ``cpu``."""
+    """Median seconds of ``action`` over ``repeats`` calls; ``clock``: ``wall`` or ``cpu``."""
     times = interleaved({"": action}, repeats)[""]
     return float(np.median([getattr(seconds, clock) for seconds in times]))
 
@@ -75,7 +75,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str, share: int = 1) -> Iterator[None]:
-        """Time a block; its times divided by ``share`` are recorded."""
+        """Time a block of ``share`` equal parts, and record the time of one part."""
         wall, cpu = time.perf_counter(), time.process_time()
         yield
         self.wall.setdefault(name, []).append((time.perf_counter() - wall) / share)

@@ -108,7 +108,7 @@ class _Nodes:
         return node
 
     def sum(self, diffuse: Any, specular: Any, roughness: Any) -> bpy.types.Node:
-        """Sum a Diffuse BSDF of (1 - S) D and a Metallic BSDF of S, with Schlick's curve by a white tint."""
+        """Add a Diffuse BSDF of (1 - S) D to a Metallic BSDF of S (white edge tint: Schlick's curve)."""
         self.tree.nodes.remove(self.principled_node)
         gloss, lambert, total = map(self._new, ("BsdfMetallic", "BsdfDiffuse", "AddShader"))
         gloss.distribution, gloss.fresnel_type = "BECKMANN", "F82"

@@ -48,7 +48,7 @@ class Places:
     # ---- lights
 
     def add_lights(self, lights: list[dict[str, Any]]) -> None:
-        """Add all lights but environments, which :meth:`set_world` adds."""
+        """Add all lights except environment lights, which :meth:`set_world` adds."""
         makers: dict[str, Callable[[dict[str, Any]], bpy.types.Object | None]] = {
             "point": self._point,
             "sphere": self._sphere,

@@ -22,7 +22,7 @@ _COLOURS = ("diffuse_albedo", "specular_albedo")
 
 
 def channel_entry(name: str, channel: Any, stem: str, writer: PackageWriter, bits: int) -> Any:
-    """The JSON value of one channel; writes its texture, if any, with ``bits`` per component."""
+    """The JSON value of a channel; writes its texture, if any, named ``stem``_``name``, of 8 or 16 bits."""
     if isinstance(channel, BakedTexture):
         pixels = channel.pixels[::-1]
         is_colour = name in _COLOURS
@@ -67,7 +67,7 @@ def material_entry(
     writer: PackageWriter,
     bits: int,
 ) -> dict[str, Any]:
-    """The JSON object of a material; writes its textures, with names that begin with ``stem``."""
+    """The JSON object of a material; writes its textures, named ``stem``_CHANNEL, of 8 or 16 bits."""
     entry: dict[str, Any] = {"classes": list(classes)}
     for name, channel in baked.channels.items():
         if name == "emission" and not any(channel):  # type: ignore[arg-type]
@@ -85,7 +85,7 @@ def material_entry(
 
 
 def mesh_file(part: Submesh, stem: str, writer: PackageWriter) -> str:
-    """Write a PLY file; returns its path in the package."""
+    """Write a submesh as PLY file named ``stem``; returns its path in the package."""
     content = ply_bytes(part.positions, part.normals, part.uv, part.faces)
     return writer.add("meshes", stem, ".ply", content)
 

@@ -67,7 +67,7 @@ def rendering_layers() -> dict[str, str]:
 
 
 class Reader:
-    """Reads the targets of one export from ``scene``, of which ``depsgraph`` returns the dependency graph."""
+    """Reads the targets of an export from ``scene``; ``depsgraph`` returns its evaluated dependency graph."""
 
     def __init__(
         self,

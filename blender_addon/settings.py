@@ -13,7 +13,7 @@ class ExportSettings:
     """Scope and accuracy of an export. Values out of range raise ``ValueError``.
 
     ``kind``: ``auto`` follows the ``sm_role`` tags, and exports the scene as one environment if there are
-    none; the others export assets of one kind. ``tolerance``: mean absolute change of a channel below which a
+    none; other values export that kind only. ``tolerance``: mean absolute change of a channel below which a
     texture is not enlarged. ``max_texture_px``: maximum side of a texture (a power of two). ``bake_normals``:
     bump and normal maps become a normal texture. ``texture_bits``: 8 or 16. ``only``: names of the objects,
     collections or materials to export (empty: everything tagged). ``license``, ``author``, ``source``:

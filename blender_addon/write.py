@@ -99,7 +99,7 @@ def _paeth(left: NDArray, above: NDArray, corner: NDArray) -> NDArray:
 
 
 def exr_bytes(pixels: NDArray) -> bytes:
-    """Encode (H, W, 3) linear Rec.709, row 0 at the top, as OpenEXR: half floats, scan lines, ZIP."""
+    """Encode (H, W, 3) linear Rec.709, row 0 at the top, as OpenEXR: half floats in [0, 65504], ZIP."""
     height, width, _ = pixels.shape
     half = np.clip(pixels, 0, 65504).astype("<f2")
     planes = half[..., ::-1]  # EXR sorts channels by name: B, G, R
@@ -212,7 +212,7 @@ class PackageWriter:
         shutil.rmtree(previous, ignore_errors=True)
 
     def add(self, group: str, stem: str, suffix: str, content: bytes) -> str:
-        """Write ``group/stem.suffix`` (numbered if taken by other content); returns the path used."""
+        """Write ``{group}/{stem}{suffix}`` (numbered if taken by other content); returns the path used."""
         key = (group + suffix, hashlib.sha256(content).hexdigest())
         if key in self._by_content:
             return self._by_content[key]

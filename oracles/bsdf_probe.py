@@ -17,7 +17,7 @@ import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
 EPS = float(np.finfo(np.float32).eps)
-# Angles of wi from the normal, up to 1e-6 rad above the horizon.
+# Angles of wi from the normal; the last is 1e-6 rad above the horizon.
 _DEGREES = [0.0, 1.0, 10.0, 30.0, 45.0, 60.0, 75.0, 85.0, 89.0, 89.9]
 ANGLES_RAD = np.concatenate([np.radians(_DEGREES), np.pi / 2 - np.array([1e-4, 1e-5, 1e-6])])
 ROUGHNESS = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0])

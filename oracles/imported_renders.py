@@ -141,7 +141,7 @@ class Agreement:
 def agreement(image: NDArray, reference: NDArray) -> Agreement:
     """Compare two images of the same aspect ratio; the reference is resampled by area to the image's size.
 
-    Both luminances are blurred with a Gaussian of standard deviation ``BLUR_SHARE`` x width, then clipped at
+    The luminances are blurred with a Gaussian of standard deviation ``BLUR_SHARE`` x width, then clipped at
     the 99th percentile of the reference, so that the few pixels of a visible lamp do not dominate.
     """
     import cv2

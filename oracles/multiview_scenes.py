@@ -74,7 +74,7 @@ def make_views(
     num_views: int = len(POSES),
     is_noise: bool = True,
 ) -> list[StatisticsView]:
-    """Views of the scene at the first ``num_views`` poses, with ``sizes`` (width, height) in a cycle.
+    """Views of the scene at the first ``num_views`` poses, cycling through ``sizes`` (width, height).
 
     Colours are white noise if ``is_noise``, else normals. 3 % of the pixels count as emitters.
     """

@@ -25,7 +25,7 @@ GREY = SlotMaterial(diffuse_albedo=(0.5, 0.5, 0.5), specular_albedo=(0.0, 0.0, 0
 
 
 def quad(origin: Any, edge_u: Any, edge_v: Any, *, has_uv: bool = True, flip_u: bool = False) -> Mesh:
-    """Rectangle of a corner [m] and two edges, with normal edge_u x edge_v; ``flip_u`` mirrors the UVs."""
+    """Rectangle from a corner and two edges [m], with normal edge_u x edge_v; ``flip_u`` mirrors u."""
     o, u, v = (np.asarray(a, dtype=np.float64) for a in (origin, edge_u, edge_v))
     normal = np.cross(u, v)
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
@@ -63,7 +63,7 @@ class SmallScene:
     """Assets of a small library: an environment, objects and materials.
 
     Environment: ``parts``, (mesh, slot) by name; ``slots``, material by slot; ``files``, content by name;
-    ``uv_per_m`` of all parts. ``objects``: (mesh, material of the slot ``skin``) by id. ``materials``:
+    ``uv_per_m``, UV units per metre. ``objects``: (mesh, material of the slot ``skin``) by id. ``materials``:
     (material, files) by id.
     """
 
@@ -134,7 +134,7 @@ def renderer(
 
 
 def placed(x: float, y: float, yaw: float = 0.0, scale: float = 1.0, z: float = 0.0) -> Any:
-    """Matrix ``world_from_asset`` as tuples: position [m], ``yaw`` around the z axis [rad], ``scale``."""
+    """Matrix ``world_from_asset`` as tuples, for a position [m], a yaw about z [rad] and a uniform scale."""
     cosine, sine = scale * np.cos(yaw), scale * np.sin(yaw)
     matrix = np.array([[cosine, -sine, 0, x], [sine, cosine, 0, y], [0, 0, scale, z], [0, 0, 0, 1.0]])
     return tuple(tuple(float(c) for c in row) for row in matrix)

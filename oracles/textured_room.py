@@ -36,7 +36,7 @@ def _quad(low: NDArray, high: NDArray, side: int, is_inward: bool) -> NDArray:
 
 
 def room_mesh() -> Mesh:
-    """The room's mesh: 48 vertices, 24 triangles, unique UVs and flat normals."""
+    """The room's mesh: 48 vertices, 24 triangles, non-overlapping UVs and flat normals."""
     quads = [
         _quad(np.array(low), np.array(high), side, is_inward)
         for (low, high), is_inward in ((ROOM, True), (BLOCK, False))

@@ -86,7 +86,7 @@ class Copy:
             sys.exit(f"the tests fail without any mutant:\n{done.stdout[-3000:]}{done.stderr[-1000:]}")
 
     def run(self, tests: list[str], timeout_s: float) -> tuple[int, str]:
-        """Run tests by warm.py; returns pytest's exit code (negative: crash or timeout) and its output."""
+        """Run tests in warm.py; returns pytest's exit code (negative: crash or timeout) and its output."""
         if self._warm is None:
             command = [sys.executable, "-m", "benchmarks.mutation.warm"]
             self._warm = subprocess.Popen(

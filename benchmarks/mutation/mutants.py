@@ -54,7 +54,7 @@ SWAPS |= {new: old for old, new in SWAPS.items() if new != "bit_count"}
 UNWRAPPED = ("clip", "sqrt", "abs", "square", "normalize", "detach", "log", "exp", "sorted")
 """Functions whose calls a mutant replaces by their first argument."""
 UNCHAINED = ("clamp_min", "clamp_max", "sqrt", "cumsum")
-"""Methods whose calls a mutant replaces by their object."""
+"""Methods whose calls a mutant removes: ``x.sqrt()`` becomes ``x``."""
 WORDS = ("Problem", "input_error", "InputError", "ValueError", "RuntimeError", "print", "filterwarnings")
 """Functions whose arguments only form messages."""
 SMALLEST = 1e-5  # smaller numbers guard against rounding: doubling them changes no result, so they become 0
@@ -175,7 +175,7 @@ class _Finder:
         if isinstance(node, ast.Compare):
             self._compare(node, function, of)
         elif isinstance(node, ast.BinOp):
-            if not (_is_text(node.left) or _is_text(node.right)):  # in paths and messages
+            if not (_is_text(node.left) or _is_text(node.right)):  # these are paths and messages
                 self._operator(node.op, self.span(node.left)[1], self.span(node.right)[0], function, of)
         elif isinstance(node, ast.BoolOp):
             start, end = self.span(node.values[0])[1], self.span(node.values[1])[0]

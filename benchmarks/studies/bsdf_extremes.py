@@ -68,7 +68,7 @@ def print_density(num: int = 200_000) -> None:
 
 
 def print_slopes() -> None:
-    """Print the maximum error of the CDF of sampled slopes, and seconds for 4e6 samples, by Newton steps."""
+    """Print error of the CDF at sampled slopes and seconds for 4e6 samples, by number of Newton steps."""
     import drjit as dr
     import mitsuba as mi
 

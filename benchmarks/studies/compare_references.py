@@ -43,7 +43,7 @@ MAX_DEPTH = 65
 def compare_scene(
     folder: Path, library_folder: Path, width_px: int, num_samples: int, pictures: Path | None = None
 ) -> dict:
-    """Render a scene with original and converted materials; returns agreements and seconds of the import."""
+    """Import a scene and compare its renderings and reference; returns a row of the report."""
     name = folder.name
     start = time.perf_counter()
     options = ImportOptions(dielectric="replace", unit_scale=UNIT_SCALES.get(name, 1.0), overwrite=True)

@@ -36,7 +36,7 @@ from .expression import (
 from .graph import Stack, input_of, source_of, value_of
 
 TRANSMISSION_POLICIES = ("refuse", "opaque", "mask")
-"""Values of ``sm_transmission``: the treatment of transmissive materials."""
+"""Values of ``sm_transmission``: report an error, absorb the transmitted light, or let it pass straight."""
 _SMALL_TRANSMISSION = 0.1
 
 

@@ -36,8 +36,8 @@ _ON_MESH = {"VERTEX_COLOR", "BEVEL", "AMBIENT_OCCLUSION", "WIREFRAME", "TANGENT"
 class Dependencies:
     """Inputs on which the values of a shader graph depend.
 
-    ``uv_layers``: names of the UV layers that are read, "" for the active render layer, to which nodes may
-    also refer by the names in ``named``. ``frames``: UV mappings by which image textures are read, and None
+    ``uv_layers``: names of the UV layers that are read, "" for the active render layer, whose name is in
+    ``named`` if nodes refer to it by name. ``frames``: UV mappings by which image textures are read, and None
     if UVs are used otherwise. ``repeats``: whether all images repeat. ``image_px``: largest width and height
     of the images. ``mesh``, ``world`` and ``object_info``: whether values depend on the mesh, on the
     instance's transform, and on Object Info nodes.

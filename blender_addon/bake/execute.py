@@ -242,7 +242,7 @@ class _Builder:
     _built: dict[Expression, bpy.types.NodeSocket | Constant] = field(default_factory=dict)
 
     def fix_object_info(self, tree: bpy.types.NodeTree, path: tuple[str, ...]) -> None:
-        """Replace links from Object Info nodes by values, in ``tree``, at the groups ``path``, and below."""
+        """Replace links from Object Info nodes by values, in ``tree`` at ``path`` and in its groups."""
         for node in list(tree.nodes):
             if node.type == "GROUP" and node.node_tree is not None:
                 self._make_single((*path, node.name), node)

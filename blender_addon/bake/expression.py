@@ -41,7 +41,7 @@ class SocketValue:
 
 @dataclass(frozen=True)
 class Operation:
-    """The operation ``name`` applied to ``arguments`` component by component (see :data:`OPERATIONS`)."""
+    """An operation of :data:`OPERATIONS` by component, or the ``luminance`` or ``average`` of a vector."""
 
     name: str
     arguments: tuple[Expression, ...]

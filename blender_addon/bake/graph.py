@@ -104,7 +104,7 @@ LIGHT_PATH_VALUES = {"Is Camera Ray": 1.0}  # of a camera ray; all other outputs
 
 
 def value_of(stack: Stack, socket: bpy.types.NodeSocket) -> Expression:
-    """The value of an input socket as an expression, reduced to a scalar for a scalar socket."""
+    """The value of an input socket as an expression, which is scalar if the socket is."""
     source = source_of(stack, socket)
     if source.socket is None:
         value: Expression = constant(0.0)

@@ -132,7 +132,7 @@ def _classify(plan: MaterialPlan, walk: DependencyWalk, problems: ProblemList) -
         if (image := plain_image(tree, expression, name in SCALAR_CHANNELS)) is not None
     }
     for name, image in list(plain.items()):
-        # a JPEG, for example, has no alpha
+        # for example a JPEG, which has no alpha
         if image.channel == "a" and _is_opaque(image.image):
             plan.constants[name] = Constant((1.0,))
             del plain[name], varying[name]
@@ -195,7 +195,7 @@ def force_bake(plan: MaterialPlan) -> MaterialPlan:
 
 
 def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: bool) -> PlainImage | None:
-    """The image that yields ``expression`` when sampled through an affine UV map; None if there is none."""
+    """The image that yields ``expression``, of 1 or 3 components, through an affine UV map; else None."""
     bare = unclamped(expression)
     is_luminance = isinstance(bare, Operation) and bare.name in ("luminance", "average")
     if is_luminance:

@@ -32,7 +32,7 @@ class Level:
 
 
 def halve(image: Image, weight: Image, axis: int) -> tuple[Image, Image]:
-    """Average pairs of texels along an axis, weighted by coverage (H, W, 1); returns both, halved."""
+    """Average pairs of texels along an axis, weighted by coverage (H, W, 1); returns image and coverage."""
     first, second = (slice(None, None, 2), slice(1, None, 2))
     a, b = (image[first], image[second]) if axis == 0 else (image[:, first], image[:, second])
     p, q = (weight[first], weight[second]) if axis == 0 else (weight[:, first], weight[:, second])
@@ -52,7 +52,7 @@ def _axis_weights(size: int, target: int, repeats: bool) -> tuple[NDArray, NDArr
 def interpolate(
     image: Image, height: int, width: int, repeats: bool = True, rows: slice = slice(None)
 ) -> Image:
-    """Resample an image bilinearly to ``height`` x ``width`` texels; it wraps around if ``repeats``.
+    """Resample an image bilinearly to ``height`` x ``width`` texels, with wrap-around if ``repeats``.
 
     Only ``rows`` of the result are computed.
     """

@@ -33,7 +33,7 @@ class CameraData:
 def gather_camera(
     thing: bpy.types.Object, render: bpy.types.RenderSettings, metres_per_unit: float, problems: ProblemList
 ) -> CameraData | None:
-    """Convert a perspective camera; for any other, add an error to ``problems`` and return None."""
+    """Convert a perspective camera; for others and empty clip ranges, add an error and return None."""
     camera = thing.data
     if camera.type != "PERSP":
         message = f"camera of type {camera.type.lower()} cannot be exported"

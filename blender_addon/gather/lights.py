@@ -99,7 +99,7 @@ def spot_profile(cosine: NDArray, half_angle: float, blend: float) -> NDArray:
 
 
 def fitted_beam_width(half_angle: float, blend: float) -> float:
-    """Angle [rad] where a linear fall-off to 0 at ``half_angle`` starts if its flux is that of the spot."""
+    """Start angle [rad] of the linear fall-off to 0 at ``half_angle`` that has the flux of the spot."""
     angle = (np.arange(4096) + 0.5) / 4096 * half_angle
     weight = np.sin(angle)
     wanted = float((spot_profile(np.cos(angle), half_angle, blend) * weight).sum())

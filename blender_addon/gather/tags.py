@@ -95,7 +95,7 @@ def replaceable_by(material: bpy.types.Material, problems: ProblemList) -> tuple
 
 
 def tile_size_m(material: bpy.types.Material, problems: ProblemList) -> float | None:
-    """The tag ``sm_tile_size_m`` of a material."""
+    """The tag ``sm_tile_size_m`` of a material, metres per UV unit, or None."""
     return positive(material, "sm_tile_size_m", problems, material=material.name)
 
 

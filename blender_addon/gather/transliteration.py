@@ -31,14 +31,14 @@ _TABLE = {**_LATIN, **_GREEK, **_CYRILLIC}
 
 
 def transliterated(text: str) -> str:
-    """Return ``text`` in ASCII; punctuation of other alphabets becomes a space."""
+    """Return ``text`` in ASCII; symbols without a counterpart become spaces."""
     text = unicodedata.normalize("NFC", text)
     neighbours = zip(text, f" {text}", f"{text[1:]} ", strict=False)
     return "".join(_letters(c, after.isupper() or before.isupper()) for c, before, after in neighbours)
 
 
 def _letters(letter: str, is_in_capitals: bool) -> str:
-    """Return the ASCII form of a letter; next to a capital, a capital becomes all capitals (AE, not Ae)."""
+    """Return the ASCII form of a letter; that of a capital is all capitals next to another (AE, not Ae)."""
     if letter.isascii():
         return letter
     small = letter.lower()

@@ -31,7 +31,7 @@ img { display: block; image-rendering: auto; }
 class Comparison:
     """A material or light as rendered by Cycles and, if available, by Mitsuba: linear images (H, W, 3).
 
-    ``detail``: description under the name; ``limit``: acceptable relative error.
+    ``detail``: text shown under the name; ``limit``: acceptable relative error.
     """
 
     name: str

@@ -53,7 +53,7 @@ def sphere_mesh(session: BakeSession, radius: float) -> bpy.types.Mesh:
 
 
 def plane_mesh(session: BakeSession, side: float) -> bpy.types.Mesh:
-    """Create a square of ``side`` in the XY plane about the origin, with UVs from 0 to 1."""
+    """Create a square of side length ``side`` in the XY plane about the origin, with UVs from 0 to 1."""
     mesh = session.own(bpy.data.meshes, bpy.data.meshes.new(f"{_PREFIX}_plane"))
     h = side / 2
     mesh.from_pydata([(-h, -h, 0), (h, -h, 0), (h, h, 0), (-h, h, 0)], [], [(0, 1, 2, 3)])
