@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The packages; everything else is in pyproject.toml.
+"""Lists the packages; everything else is in pyproject.toml.
 
 The bundled library, recipes and small suite lie in ``scenes/`` of the repository and are installed inside the
 package ``datagen``, as ``datagen/scenes``: pyproject.toml cannot express that for discovered packages.

@@ -3,9 +3,9 @@
 
     python -m benchmarks.bench_farm_scale                 # real files, 1,000 to 10,000 finished units
 
-Creates folders of finished units (configurations, markers, shards of one record) and times planning, whose
-configurations exist already, a rerun without work left, status and collection. ``cpu_s`` is processor time,
-which depends little on other work on the machine.
+Creates folders of finished units (configurations, markers, shards of one record) and times four operations:
+planning of existing configurations, a rerun with nothing left to do, status, and collection. ``cpu_s`` is
+processor time, which depends little on other work on the machine.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@
     python -m benchmarks.bench_qualities --size 96 64 --out /tmp/qualities         a quick look
 
 Plans configurations of the bundled library and compares ``draft`` and ``standard`` (with ``--reference`` also
-``reference``, which is slow) with fixed sample counts, both without and with the irradiance cache and clamp
-of these two qualities. A quality's excess is its cost in processor seconds or light paths, divided by the
+``reference``, which is slow) with fixed sample counts, without and with the irradiance cache and clamp of
+``draft`` and ``standard``. A quality's excess is its cost in processor seconds or light paths, divided by the
 cost of the same error on the front of fixed counts. Qualities adapt the count to each view's error, which
 reduces the excess below 1, but they run the denoiser one or two more times per pass. The excess may reach
 --slack in light paths (independent of the machine) and --time-slack in processor seconds. Trials are stored

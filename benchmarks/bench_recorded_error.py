@@ -52,8 +52,9 @@ class Point:
     """Errors of a view: ``recorded`` and ``true`` relMSE (exposed), ``true_error`` (standard error of
     ``true``) and ``bias`` (relative error of the mean luminance).
 
-    ``cache_bias`` is the relative bias of mean luminance due to the irradiance cache, ``cache_error`` its
-    standard error; ``block_bias`` is the largest absolute bias of a block, less two standard errors.
+    ``cell_m`` is the cell size of the irradiance cache, ``cache_bias`` the relative bias of mean luminance
+    that it causes, ``cache_error`` the standard error of this bias; ``block_bias`` is the largest absolute
+    bias of a block, less two standard errors.
     """
 
     room: str

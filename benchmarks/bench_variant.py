@@ -70,7 +70,7 @@ def main() -> None:
 def _differences(
     buffers: dict[str, np.ndarray], others: dict[str, np.ndarray]
 ) -> dict[str, dict[str, float]]:
-    """Largest difference, share of differing pixels and (radiance) relMSE of the worst view, by buffer."""
+    """Largest difference, share of differing pixels and relMSE (radiance) of the worst view, by buffer."""
     found: dict[str, dict[str, float]] = {}
     for key, values in buffers.items():
         name = key.partition("/")[0]

@@ -147,7 +147,7 @@ class Places:
     # ---- the world
 
     def set_world(self, light: dict[str, Any], image: Path | None, pack: bool) -> None:
-        """Make an environment light the scene's world; ``image`` is its equirectangular image."""
+        """Make an environment light the scene's world; ``pack``: store its ``image`` in the .blend file."""
         scene = bpy.context.scene
         if scene.world is not None:
             self.remarks.append(f"the world {scene.world.name!r} was replaced by the package's world")

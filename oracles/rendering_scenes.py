@@ -113,7 +113,7 @@ class SmallScene:
 
 
 def configure(library: Library, cameras: list[Camera], **fields: Any) -> Configuration:
-    """Configuration of the room with all packages of ``library`` as assets; ``fields`` replace its fields."""
+    """Configuration of the room with all packages of ``library`` as assets; ``fields`` are further fields."""
     fields.setdefault("environment", PlacedAsset(name="room", asset="room"))
     views = tuple(ViewCamera.from_camera(f"view_{k}", camera) for k, camera in enumerate(cameras))
     assets = {package.id: package.sha256 for package in library}
@@ -127,7 +127,7 @@ def renderer(
     recipe: RenderRecipe | None = None,
     **fields: Any,
 ) -> SceneRenderer:
-    """Renderer of a small scene; default: a grey floor seen from above, direct light, no denoiser."""
+    """Renderer of a scene, written to ``root``; default: grey floor from above, direct light, no denoiser."""
     library = (scene or SmallScene()).write(root)
     recipe = recipe or RenderRecipe(path_samples=256, auxiliary_samples=16, max_depth=2, denoise=False)
     return SceneRenderer(configure(library, cameras or [down_camera()], **fields), library, recipe)

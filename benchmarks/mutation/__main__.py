@@ -201,7 +201,7 @@ def attempt(
 
 
 def equivalents() -> dict[str, str]:
-    """Reasons why mutants behave like the original, by key of the mutant."""
+    """Reasons why mutants behave like the original code, by the mutant's key, from equivalent.yaml."""
     return {row["key"]: row["why"] for row in yaml.safe_load(EQUIVALENT.read_text())}
 
 

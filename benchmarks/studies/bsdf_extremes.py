@@ -128,7 +128,7 @@ def _angle_transport(specular: float, roughness: float, num_bins: int, num_slope
 
 
 def _sum_of_bounces(transport: np.ndarray, num_bounces: int) -> float:
-    """Sum of the energies of light after each bounce between two plates; it starts diffuse, with energy 1."""
+    """Sum of the energy left after each bounce between two plates, of diffuse light of initial energy 1."""
     energy = np.full(len(transport), 1.0 / len(transport))
     total = 0.0
     for _ in range(num_bounces):

@@ -3,7 +3,7 @@
 
     python -m benchmarks.studies.colmap_end_to_end --out DIR     as in docs/measurements.md: 20 minutes
     python -m benchmarks.studies.colmap_end_to_end --out DIR --cameras true    true cameras, no COLMAP
-    python -m benchmarks.studies.colmap_end_to_end --out DIR --faults phone --mesh colmap    no true input
+    python -m benchmarks.studies.colmap_end_to_end --out DIR --faults phone --mesh colmap    no ground truth
 
 1. The room ``study`` of the bundled library, which is not in the training data of the bundled checkpoint,
    with objects, ceiling light and daylight; the cameras circle around its centre and look across it.
@@ -114,7 +114,7 @@ def jpeg(pixels: NDArray[np.uint8], camera: Camera) -> bytes:
 
 @dataclass
 class EndToEnd:
-    """The steps of the pipeline, in order; each stores its result in a subfolder of ``out``."""
+    """The steps of the pipeline for the command's options, in order; each stores its result below ``out``."""
 
     out: Path
     views: int

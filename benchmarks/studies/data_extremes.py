@@ -112,7 +112,7 @@ def alike_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[Statis
 
 
 def spread_of_alike_views(num_views: int) -> float:
-    """Largest difference of maximum and minimum of identical views, relative to their colour."""
+    """Largest difference between maximum and minimum colour over identical views, relative to the colour."""
     views = alike_views(num_views)
     (result,) = compute_statistics(views, only=(0,))
     own = np.maximum(views[0].color, 1e-30)

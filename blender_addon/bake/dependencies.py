@@ -36,10 +36,10 @@ _ON_MESH = {"VERTEX_COLOR", "BEVEL", "AMBIENT_OCCLUSION", "WIREFRAME", "TANGENT"
 class Dependencies:
     """Inputs on which the values of a shader graph depend.
 
-    ``uv_layers``: names of the UV layers that are read, "" for the active render layer, whose name is in
-    ``named`` if nodes refer to it by name. ``frames``: UV mappings by which image textures are read, and None
-    if UVs are used otherwise. ``repeats``: whether all images repeat. ``image_px``: largest width and height
-    of the images. ``mesh``, ``world`` and ``object_info``: whether values depend on the mesh, on the
+    ``uv_layers``: names of the UV layers that are read, "" for the layer active in rendering, whose name is
+    in ``named`` if nodes refer to it by name. ``frames``: UV mappings by which image textures are read, and
+    None if UVs are used otherwise. ``repeats``: whether all images repeat. ``image_px``: largest width and
+    height of the images. ``mesh``, ``world`` and ``object_info``: whether values depend on the mesh, on the
     instance's transform, and on Object Info nodes.
     """
 
@@ -104,7 +104,7 @@ class Dependencies:
 class DependencyWalk:
     """Collects the dependencies of expressions from the nodes upstream in a material's tree.
 
-    ``rendering_layer``: name of the active UV layer if all meshes with the material share it, else "". Nodes
+    ``rendering_layer``: name of the UV layer active in rendering if the same in all meshes, else "". Nodes
     that name this layer and nodes that name none then read the same layer.
     """
 

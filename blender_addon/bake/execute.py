@@ -104,9 +104,8 @@ class BakeSession:
         expressions: dict[str, Expression],
         object_info: dict[str, tuple[float, ...]] | None = None,
     ) -> WorkingMaterial:
-        """Copy a material and add nodes for ``expressions``, by channel.
-
-        ``object_info``: values that replace Object Info nodes, by name of the output.
+        """Copy a material, add nodes for ``expressions`` (by channel), and put ``object_info`` in place of
+        Object Info nodes (values by name of the output).
         """
         copy = self.own(bpy.data.materials, material.copy())
         copy.name = f"{_PREFIX}{material.name}"
@@ -195,7 +194,7 @@ class BakeSession:
     def bake_normal(
         self, thing: bpy.types.Object, working: WorkingMaterial, size: int
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Bake tangent-space normals of the original surface as (n + 1) / 2, +Y up, like :meth:`bake`."""
+        """Bake tangent-space normals of the original surface, as (n + 1) / 2, +Y up; see :meth:`bake`."""
         tree = working.material.node_tree
         end = tree.get_output_node("CYCLES").inputs["Surface"]
         assert working.surface is not None

@@ -18,7 +18,7 @@ from .graph import Stack, input_of, source_of, value_of
 class UvFrame:
     """Affine map ``matrix`` @ (u, v, 1) from the UVs of a layer to texture coordinates.
 
-    ``layer`` is "" for the active render layer. ``matrix`` is rounded, so that equal maps compare equal.
+    ``layer`` is "" for the UV layer active in rendering. ``matrix`` is rounded, so equal maps compare equal.
     """
 
     layer: str

@@ -80,8 +80,8 @@ def plan_material(
 ) -> MaterialPlan:
     """Plan the export of one material; the plan lists the problems found.
 
-    ``bakes_normal``: linked Normal inputs become a texture. ``rendering_layer``: name of the active UV layer
-    of all meshes with the material, "" if they differ.
+    ``bakes_normal``: linked Normal inputs become a texture. ``rendering_layer``: name of the UV layer active
+    in rendering, in all meshes with the material, "" if they differ.
     """
     problems = ProblemList()
     policy = str(material.get("sm_transmission", "refuse"))

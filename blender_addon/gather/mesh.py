@@ -22,10 +22,10 @@ IntArray = NDArray[np.int32]
 class MeshArrays:
     """Arrays of an evaluated mesh.
 
-    ``positions`` (V, 3). ``corner_vertices`` (C,): the vertex of each corner. ``normals``: unit normals, (V,
-    3) if the whole mesh is smooth, else (C, 3). ``triangles`` (T, 3): corners of each triangle.
+    ``positions`` (V, 3). ``corner_vertices`` (C,): the vertex of each corner. ``normals``: unit normals,
+    (V, 3) if the whole mesh is smooth, else (C, 3). ``triangles`` (T, 3): corners of each triangle.
     ``triangle_polygons`` (T,): polygon of each triangle. ``triangle_slots`` (T,): its material slot.
-    ``uv_layers``: UVs (C, 2) by layer name, v upwards. ``active_uv``: name of the active render layer, or "".
+    ``uv_layers``: UVs (C, 2) by layer name, v upwards. ``active_uv``: the layer active in rendering, or "".
     """
 
     positions: FloatArray
