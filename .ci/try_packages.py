@@ -3,8 +3,8 @@
 
 The wheel is built from the sdist and installed with its dependencies into a new environment, first without
 extras, then with `train`. The sdist is installed into a second environment, which uses the dependencies of
-the first; inference is not run there. In both, commands run outside the checkout, and every module must be
-imported from the environment. Usage: try_packages.py CONSTRAINTS
+the first; inference is not run there. In both environments, commands run outside the checkout, and every
+module must be imported from the environment. Usage: try_packages.py CONSTRAINTS
 """
 
 from __future__ import annotations

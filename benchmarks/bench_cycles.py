@@ -14,7 +14,7 @@ with an empty and with a filled kernel cache.
 The baseline is bpy as used by BlenderProc (cycles_baseline.py): one process, persistent data, path tracing
 with the same number of segments, OIDN with prefiltered albedo and normal, one EXR per view with depth,
 normal, diffuse and glossy colour, object and material index. Its scene is a .blend file of the same
-configuration, whose creation is not timed. Cycles has no roughness, multi-view statistics or error control.
+configuration, whose creation is not timed. Roughness, multi-view statistics and error control are missing.
 
 The error is the exposed relMSE (``datagen.rendering.error``) of denoised images of ``--error-views`` views,
 against two independent converged images by the same renderer, because the renderers' materials differ by more

@@ -3,8 +3,8 @@
 
     python -m benchmarks.bench_learning DATASET ... --out DIR --compare CHECKPOINT ... [--judge DATASET]
 
-Computes mean squared errors of every map over whole views of all validation splits, or of that of ``--judge``
-only: for a constant (the training mean), for the exposed median image and the recorded reflectance as
+Computes mean squared errors of every map over all uncropped validation views, or only over those of
+``--judge``: for a constant (the training mean), for the exposed median image and the recorded reflectance as
 diffuse albedo, and for each checkpoint with and without the bilateral solver. Writes ``table.md``,
 ``results.json`` and a picture CHECKPOINT.jpg of each checkpoint's best and worst view into DIR.
 """

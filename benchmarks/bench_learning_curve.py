@@ -6,8 +6,8 @@
 
 For each count, trains the preset on that many evenly spaced training configurations of a dataset, with the
 same number of optimiser steps per track; a point is the mean squared error of each map over all views of the
-validation split of ``--judge`` (default: the first DATASET). Every OTHER (such as the same recipe with
-fewer samples, or another recipe) adds a curve, evaluated on the same views. Short runs rank the curves; they
+validation split of ``--judge`` (default: the first DATASET). Every OTHER dataset, for example of the same
+recipe with fewer samples, adds a curve, evaluated on the same views. Short runs rank the curves; they
 do not predict the error of a long run.
 
 Writes ``table.md``, ``results.json`` and ``curve.png`` into DIR. Existing points are not trained again;

@@ -5,10 +5,10 @@
         [--worse-mesh] [--camera PRESET] [--ablate] [--checkpoint FILE]
 
 Renders the scenes of a suite, or reads them from the cache of ``materials evaluate``, and predicts the maps
-of their first ``--views`` photographs with the bundled network, or with ``--checkpoint``. *Light* fits the
-maps to the light recorded in the photographs. Mean squared errors are over every third surface pixel along
-both axes, in total and on metal (S > 0.2), white (D > 0.6) and glossy surfaces (R < 0.4). ``--sheet`` writes
-a picture per room of three views: D of network, light and ground truth, R of light and ground truth.
+of their first ``--views`` photographs with the bundled network, or with ``--checkpoint``. The method *light*
+fits the maps to the light recorded in the photographs. Mean squared errors are over every third surface pixel
+along both axes, in total and on metal (S > 0.2), white (D > 0.6) and glossy surfaces (R < 0.4). ``--sheet``
+writes a picture of three views per room: D of network, light and ground truth, R of light and ground truth.
 ``--worse-mesh`` displaces vertices by 1 cm, keeps three tenths of the triangles and cuts holes in 5 % of the
 area. ``--camera`` degrades the photographs (camera_faults.py). ``--ablate`` adds a row per omitted step.
 """

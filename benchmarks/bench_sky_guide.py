@@ -6,7 +6,7 @@
 Each view of rooms assembled from the bundled library is traced with ``--samples`` paths per pixel, four times
 with and four times without the guide, with the firefly clamp of the named qualities. Variance is half the
 exposed relMSE between two images, averaged over views; time is the median processor time of an image.
-The product of their ratios is the relative time for the same noise, without the time to build the guide.
+The product of both ratios is the relative time for the same noise, without the time to build the guide.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ CLAMP = 30.0
 
 
 def compare(renderer: SceneRenderer, samples: int) -> dict[str, Any]:
-    """Ratios (with : without guide) of variance and time in one room, by name, and figures of the guide."""
+    """Variance, seconds, and their ratios (with : without guide) in one room, and the guide's share."""
     tracer, guide = renderer.tracer, renderer.tracer.sky_guide
     kinds = {"plain": None, "guided": guide}
     variances: dict[str, list[float]] = {name: [] for name in kinds}

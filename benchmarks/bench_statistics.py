@@ -72,7 +72,7 @@ def first_hits(scene, camera: Camera, jitter: tuple[float, float] = (0.5, 0.5)):
 
 
 def capture(scene, camera: Camera, name: str, is_textured: bool) -> StatisticsView:
-    """View of exact buffers; colour: mean diffuse reflectance of 4x4 positions if textured, else a pattern."""
+    """View of exact buffers; colour: mean reflectance of 4x4 positions if ``is_textured``, else a pattern."""
     import drjit as dr
     import mitsuba as mi
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Time and error of a view of the imported scene ``staircase``, with all stages.
+"""Time by stage, and error, of views of the imported scene ``staircase``.
 
     python benchmarks/bench_view.py                             640x384, 40 views
     python benchmarks/bench_view.py --samples 2 4 8 --views 8   a sweep

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """A small scene of axis-aligned boxes with exact depth, normals and occlusion, for the multi-view tests.
 
-A floor, a wall and two boxes in front of an empty background. One of the cameras is behind the wall, one
-faces away from all surfaces, and one is just above the floor. Colours are white noise, so a colour fetched
-from a wrong position is detected.
+The boxes are a floor, a wall and two more, in front of an empty background. One of the cameras is behind the
+wall, one faces away from all surfaces, and one is just above the floor. Colours are white noise, so a colour
+fetched from a wrong position is detected.
 """
 
 from __future__ import annotations

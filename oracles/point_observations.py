@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Visibility and projections of points in all views as NumPy arrays, by the kernels of the statistics."""
+"""Visibility and projections of points in all views, from the kernels of the statistics, as NumPy arrays."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """A room with a block in it and known, smooth materials: the oracle of the reconstruction tests.
 
-Twelve quads, each in a cell of a 4 x 3 grid of the atlas: the room's six sides, which face inwards, and the
-block's, which face outwards (its bottom is never visible). Materials are smooth functions of the UVs.
+It has twelve quads, each in a cell of a 4 x 3 grid of the atlas: the room's six sides, which face inwards,
+and the block's, which face outwards (its bottom is never visible). Materials are smooth functions of the UVs.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def materials_at(uv: NDArray) -> dict[str, NDArray[np.float32]]:
 
 
 def room_cameras(num: int = 10, size: tuple[int, int] = (96, 72), seed: int = 4) -> list[Camera]:
-    """``num`` cameras near the walls, directed across the room; every second one has another size."""
+    """``num`` cameras near the walls, directed across the room, with two alternating image sizes."""
     rng = np.random.default_rng(seed)
     cameras = []
     for index in range(num):

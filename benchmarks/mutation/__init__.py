@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Mutation testing: changes of modules, and the tests that cover the changed lines."""
+"""Mutation testing: changes modules, and runs the tests that cover the changed lines."""

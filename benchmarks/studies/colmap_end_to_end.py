@@ -5,7 +5,7 @@
     python -m benchmarks.studies.colmap_end_to_end --out DIR --cameras true    true cameras, no COLMAP
     python -m benchmarks.studies.colmap_end_to_end --out DIR --faults phone --mesh colmap    no ground truth
 
-1. The room ``study`` of the bundled library, which is not in the training data of the bundled checkpoint,
+1. The scene is the bundled room ``study``, which is not in the training data of the bundled checkpoint,
    with objects, ceiling light and daylight; the cameras circle around its centre and look across it.
 2. Cycles (cycles_photographs.py) renders the views with depth of field; :func:`developed` adds shot and
    read noise and makes 8-bit JPEGs: exposure, the sRGB curve ("Standard"), clipping, no tone mapping.

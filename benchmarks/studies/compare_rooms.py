@@ -4,16 +4,16 @@
     python -m benchmarks.studies.compare_rooms DATASET --imported SHARD [SHARD ...]
         --out DIR [--views 8] [--page 24]
 
-DATASET is a dataset folder; an imported SHARD is the tar of a capture with ground truth, such as `materials
-evaluate` renders for the scenes of a suite. Surface pixels of ``--views`` evenly spaced views per room are
-counted; every room has the same weight, so densities are means over rooms. Luminances and exposures are
-relative to the room's median exposure, since each scene has its own unit of radiance.
+DATASET is a dataset folder; an imported SHARD is the tar of a capture with ground truth, for example one that
+`materials evaluate` rendered for a scene of a suite. Surface pixels of ``--views`` evenly spaced views per
+room are counted; every room has the same weight, so densities are means over rooms. Luminances and exposures
+are relative to the room's median exposure, since each scene has its own unit of radiance.
 
 Writes ``distributions.png`` (D, S, R, luminance, exposure), ``beside.jpg`` (imported rooms left, generated
-ones right) and ``page.jpg`` (a view of each of the first ``--page`` rooms of DATASET), all at the exposure of
+ones right) and ``page.jpg`` (a view of each of the first ``--page`` rooms of DATASET), all exposed as in
 contact sheets. Prints a table: shares of pixels with S > 0.3 and R < 0.3, share of pixels clipped at that
-exposure, with and without window parts (frames, sills, blinds, curtains), and the ratio of the largest to
-the smallest exposure within a room.
+exposure, with and without window parts (frames, sills, blinds, curtains), and the ratio of the largest to the
+smallest exposure within a room.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ class Dependencies:
 class DependencyWalk:
     """Collects the dependencies of expressions from the nodes upstream in a material's tree.
 
-    ``rendering_layer``: name of the UV layer active in rendering if the same in all meshes, else "". Nodes
+    ``rendering_layer``: name of the UV layer active in rendering if all meshes share it, else "". Nodes
     that name this layer and nodes that name none then read the same layer.
     """
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Converts Blender's lights to dictionaries of the asset format, in radiometric units.
 
-A light of power P = energy * colour * 2^exposure has radiant intensity I = P / (4 pi) if it is a spot or a
-point of radius 0, radiance L = P / (4 pi^2 r^2) if a sphere of radius r, L = P / (pi A) along -Z if an area
-light of area A, and irradiance E = P if a sun. Without Normalize, L = P / pi for spheres and areas.
+With power P = energy * colour * 2^exposure, a spot or a point of radius 0 has the radiant intensity I = P /
+(4 pi), a sphere of radius r the radiance L = P / (4 pi^2 r^2), an area light of area A the radiance L = P /
+(pi A) along -Z, and a sun the irradiance E = P. Without Normalize, L = P / pi for spheres and area lights.
 Conversion to metres leaves radiance unchanged and multiplies intensity by (metres per unit)^2.
 """
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Transliteration to ASCII for ids and file names: Küche becomes Kueche, Öl-Eiche Oel-Eiche.
 
-German umlauts become two letters; other accents are removed; letters that are not a base letter with an
-accent (ø, ł, ß), Greek and Cyrillic are looked up in tables. Letters of other alphabets become their code
-points, so that names in them stay distinct.
+German umlauts become two letters; other accents are removed; letters that do not decompose into a base letter
+and an accent (ø, ł, ß), and Greek and Cyrillic letters, are looked up in tables. Letters of other alphabets
+become their code points, so that names in them stay distinct.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def transliterated(text: str) -> str:
 
 
 def _letters(letter: str, is_in_capitals: bool) -> str:
-    """Return the ASCII form of a letter; that of a capital is all capitals next to another (AE, not Ae)."""
+    """Return the ASCII form of a letter: Ä becomes AE if ``is_in_capitals`` (next to a capital), else Ae."""
     if letter.isascii():
         return letter
     small = letter.lower()
