@@ -347,7 +347,7 @@ def agrees(agreement: dict[str, Any]) -> bool:
 
 
 def interpolated(curve: dict[int, float], target: float) -> int:
-    """Sample count of error ``target``, interpolated between the last points of ``curve``, error by count."""
+    """Sample count at which ``curve`` (error by count) reaches ``target``, between its last two points."""
     *before, high = sorted(curve)
     if not before:
         return high

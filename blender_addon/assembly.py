@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bakes the materials of a target and writes its package."""
+"""Bakes the materials of an asset to export, and writes its package."""
 
 from __future__ import annotations
 

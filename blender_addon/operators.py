@@ -109,7 +109,7 @@ def options() -> ExportOptions:
 
 
 class SCENE_MATERIALS_OT_check(bpy.types.Operator):
-    """List all refusals and approximations of an export, without writing anything"""
+    """List all errors and approximations of an export, without writing anything"""
 
     bl_idname = "scene_materials.check"
     bl_label = "Check"

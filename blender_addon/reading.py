@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reads a target: its instances, lights, cameras, world and markers, and plans its materials."""
+"""Reads an asset to export: its instances, lights, cameras, world and markers; plans its materials."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from .targets import Target
 
 @dataclass
 class Contents:
-    """A target with all data read from the scene.
+    """An asset to export, ``target``, with all data read from the scene.
 
     ``copies``: meshes to bake, by mesh key; ``images``: pixels (H, W, 3) of environment lights, by name;
     ``extra``: further fields of ``asset.json``.

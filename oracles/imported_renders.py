@@ -54,7 +54,7 @@ def camera_at(camera: AssetCamera, width_px: int, height_px: int | None) -> Came
 def render_original(
     path: Path, width_px: int, num_samples: int, max_depth: int, height_px: int | None = None
 ) -> NDArray[np.float32]:
-    """Render the original (H, W, 3) from its first camera by Mitsuba's path tracer with a box filter.
+    """Render the original scene (H, W, 3) from its first camera by Mitsuba's path tracer, with a box filter.
 
     Raises :class:`InputError` if it has no camera.
     """

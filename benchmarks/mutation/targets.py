@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Modules to mutate, each with the smallest set of test files that covers it, from targets.yaml."""
+"""Sets of modules to mutate, each with the fewest test files that cover it, from targets.yaml."""
 
 from __future__ import annotations
 

@@ -14,12 +14,12 @@
    (at least three): here all true centres, with noise of 5 mm standard deviation per axis.
 4. The mesh is the room welded and collapsed to ``--triangles``, without UVs, or the surface through COLMAP's
    points, as in `materials photos`.
-5. ``materials infer``, including its check.
+5. ``materials infer`` runs, including its check.
 6. Atlas and truth are rendered as maps from every third true camera and compared where both show the same
    surface (depth within 5 %). Baselines are each map's mean, which is the best possible constant, and the
    photographs as diffuse albedo.
 
-Plan, renderings, meshes and captures are stored in a folder of --out, and reused by the same options and
+Plan, renderings, meshes and captures are stored in a folder of --out, and reused for the same options and
 versions.
 """
 

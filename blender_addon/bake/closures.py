@@ -170,7 +170,7 @@ class ClosureWalk:
         handler(self, source.stack, node, weight)
 
     def _drop(self, stack: Stack, node: bpy.types.Node, *inputs: _LeftOut) -> None:
-        """Report each of ``inputs``, which are not exported, unless its value is 0."""
+        """Report that the ``inputs`` with values other than 0 are not exported."""
         for left_out in inputs:
             value = self._value(stack, node, *left_out.names)
             if not is_constant(value, 0):

@@ -104,8 +104,8 @@ class BakeSession:
         expressions: dict[str, Expression],
         object_info: dict[str, tuple[float, ...]] | None = None,
     ) -> WorkingMaterial:
-        """Copy a material, add nodes for ``expressions`` (by channel), and put ``object_info`` in place of
-        Object Info nodes (values by name of the output).
+        """Copy a material, add nodes for ``expressions`` (by channel), and replace Object Info nodes by the
+        values ``object_info`` (by name of the output).
         """
         copy = self.own(bpy.data.materials, material.copy())
         copy.name = f"{_PREFIX}{material.name}"

@@ -71,7 +71,7 @@ def _mapping_matrix(stack: Stack, node: bpy.types.Node) -> NDArray[np.float64] |
 
 
 def image_frame(stack: Stack, node: bpy.types.Node) -> UvFrame | None:
-    """The affine map from a UV layer to an Image Texture node's coordinates; None for other graphs."""
+    """The affine map by which an Image Texture node reads a UV layer; None if it reads in another way."""
     legacy = node.texture_mapping
     steps = (legacy.translation, legacy.rotation, legacy.scale)
     if tuple(map(tuple, steps)) != ((0, 0, 0), (0, 0, 0), (1, 1, 1)):

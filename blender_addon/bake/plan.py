@@ -81,7 +81,7 @@ def plan_material(
     """Plan the export of one material; the plan lists the problems found.
 
     ``bakes_normal``: linked Normal inputs become a texture. ``rendering_layer``: name of the UV layer active
-    in rendering, in all meshes with the material, "" if they differ.
+    in rendering if all meshes with the material share it, else "".
     """
     problems = ProblemList()
     policy = str(material.get("sm_transmission", "refuse"))
