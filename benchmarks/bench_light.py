@@ -84,7 +84,7 @@ def measured(maps: list[Maps], truth: list[dict[str, NDArray]]) -> str:
 
 
 def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[dict[str, NDArray]]) -> None:
-    """Write three views, one per row: D of network, light fit and truth; R of light fit and truth."""
+    """Write a picture of three rows of views: D of network, light fit and truth; R of light fit and truth."""
     from PIL import Image
 
     def tile(maps: dict[str, NDArray], name: str) -> NDArray:

@@ -21,9 +21,7 @@ _AXES = (0, 0, 1, 1, 2, 2)
 
 
 def _quad(low: NDArray, high: NDArray, side: int, is_inward: bool) -> NDArray:
-    """Corners (4, 3) of side 0 to 5 (-x, +x, -y, +y, -z, +z) of a box, counter-clockwise seen from inside if
-    ``is_inward``, else from outside.
-    """
+    """Corners (4, 3) of a box's side 0 to 5 (-x, +x, -y ... +z), counter-clockwise from in- or outside."""
     axis, at = _AXES[side], (low, high)[side % 2]
     a, b = (axis + 1) % 3, (axis + 2) % 3
     corners = np.empty((4, 3))

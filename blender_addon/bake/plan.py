@@ -195,7 +195,7 @@ def force_bake(plan: MaterialPlan) -> MaterialPlan:
 
 
 def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: bool) -> PlainImage | None:
-    """The image that yields ``expression``, of 1 or 3 components, through an affine UV map; else None."""
+    """The image that equals ``expression`` (scalar or RGB) if sampled through an affine UV map, or None."""
     bare = unclamped(expression)
     is_luminance = isinstance(bare, Operation) and bare.name in ("luminance", "average")
     if is_luminance:
