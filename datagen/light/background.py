@@ -3,11 +3,12 @@
 
 Near light, such as light through a window pane, is binned by direction and by the position at which a ray
 leaves the room's bounding box (:data:`NEAR`). Far light, such as the sky, depends only on direction and has
-finer bins (:data:`FAR`). To choose, background pixels of half of the views are predicted from the rest, once
-by direction and once by position; light counts as near unless direction predicts clearly better. A bin's
-radiance is the median of its pixels, in :data:`FAR` their mean. An empty bin gets that of the nearest filled
-one. It counts as photographed up to a distance of the layout's ``photographed_reach``, as estimated up to
-:data:`REACH`, else as unknown; in distances, the box's diagonal counts as :data:`PLACE_WEIGHT` radians.
+finer bins (:data:`FAR`). To tell them apart, background pixels of half of the views are predicted from the
+rest, once by direction and once by position; light counts as near unless direction predicts clearly better.
+
+A bin's radiance is the median of its pixels (in :data:`FAR`, the mean). An empty bin gets the radiance of the
+nearest filled one; up to the distance ``photographed_reach`` it counts as photographed, up to :data:`REACH`
+as estimated, else as unknown. Distances are in radians; the box's diagonal counts as :data:`PLACE_WEIGHT`.
 """
 
 from __future__ import annotations
@@ -26,16 +27,16 @@ from mitsuba_plugins.arrays import point_argument
 from mitsuba_plugins.cells import cell_of
 
 REACH = 2.0
-"""Distance up to which an empty bin gets the radiance of the nearest filled one. Light from unknown bins is
-later assumed to equal the mean of known light."""
+"""Distance up to which an empty bin gets the radiance of the nearest filled one. Light from other bins, which
+are unknown, is later assumed to equal the mean of known light."""
 MIN_PIXELS = 3
 """Minimum number of pixels in a filled bin."""
 PLACE_WEIGHT = 2.25
 FAR_GAIN = 0.8
-"""Light counts as far if the error of prediction by direction is below this share of that by position."""
+"""Light counts as far if predictions by direction have less than this share of the error by position."""
 JUDGED_PLACES = 24
-"""Number of squares along each side of a box face in :func:`is_far`."""
-_MIN_GAIN = 1e-3  # in ln radiance; without it, rounding errors could decide
+"""Number of squares along each edge of a box face in :func:`is_far`."""
+_MIN_GAIN = 1e-3  # additional margin in ln radiance; without it, rounding errors could decide
 _MAX_PIXELS = 6000  # per view
 
 
@@ -43,11 +44,11 @@ _MAX_PIXELS = 6000  # per view
 class Layout:
     """Layout of the background's bins.
 
-    Numbers of ``faces`` of the box (1: bins by direction only), ``places`` along each side of a face,
-    ``azimuths``, and ``heights`` in equal steps of the direction's z, for equal solid angles.
-    ``photographed_reach``: distance in radians to the nearest filled bin up to which an empty one counts as
-    photographed. ``gain_blocks``: numbers of blocks along places, heights and azimuths; the bins of a block
-    share one gain of estimated light.
+    Numbers of bins: ``faces`` of the box (1: bins by direction only), ``places`` along each edge of a face,
+    ``azimuths``, and ``heights``, equal steps of the direction's z, so that solid angles are equal.
+    ``photographed_reach``: maximum distance in radians from an empty bin that counts as photographed to the
+    nearest filled one. ``gain_blocks``: numbers of blocks along places, heights and azimuths; estimated light
+    has one gain per block (``estimated_light``).
     """
 
     faces: int
@@ -169,7 +170,7 @@ def box_squares(
 
 @dataclass(frozen=True)
 class OutsidePixels:
-    """N background pixels: ``origin``, ``direction`` and ``color`` (N, 3), index of the ``view`` (N,)."""
+    """N background pixels: ray ``origin``, ray ``direction`` and ``color``, (N, 3) each, and ``view`` (N,)."""
 
     origin: NDArray[np.float64]
     direction: NDArray[np.float64]
@@ -178,7 +179,7 @@ class OutsidePixels:
 
 
 def outside_pixels(views: Sequence[TracedView]) -> OutsidePixels:
-    """Evenly spaced background pixels of each view, fewer than twice ``_MAX_PIXELS``."""
+    """Evenly spaced background pixels, fewer than twice ``_MAX_PIXELS`` per view."""
     parts: list[tuple[NDArray, ...]] = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]
     for number, view in enumerate(views):
         pixel = np.flatnonzero(((view.geometry.face < 0) & view.valid_mask).ravel())
@@ -191,7 +192,7 @@ def outside_pixels(views: Sequence[TracedView]) -> OutsidePixels:
 
 
 def is_far(pixels: OutsidePixels, low: NDArray, high: NDArray) -> bool:
-    """Return whether the background depends only on direction, so that bins by direction predict the pixels
+    """Return whether the background depends only on direction: whether bins by direction predict the pixels
     of other views clearly better than bins by position on the box with corners ``low`` and ``high`` (3,).
     """
     if not len(pixels.view):
@@ -251,8 +252,8 @@ def photographed_background(
 
 
 def _centres(bins: NDArray, low: NDArray, high: NDArray, layout: Layout) -> NDArray[np.float64]:
-    """Points (N, 6) for distances between bins: position, scaled such that the box's diagonal is
-    :data:`PLACE_WEIGHT`, and unit direction.
+    """Points (N, 6) whose distances are those of ``bins`` (N,): the position, scaled so that the box's
+    diagonal is :data:`PLACE_WEIGHT`, and the unit direction.
     """
     places = layout.places
     face, u, v, direction = np.unravel_index(bins, (layout.faces, places, places, layout.num_directions))
@@ -268,7 +269,7 @@ def _centres(bins: NDArray, low: NDArray, high: NDArray, layout: Layout) -> NDAr
 
 
 def _medians(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Bins (K,) with at least :data:`MIN_PIXELS` pixels, and their median colours (K, 3), by channel."""
+    """Bins (K,) with at least :data:`MIN_PIXELS` pixels, and their per-channel median colours (K, 3)."""
     order = np.argsort(bins, kind="stable")
     keys, first, num = np.unique(bins[order], return_index=True, return_counts=True)
     medians = np.empty((len(keys), 3), np.float32)

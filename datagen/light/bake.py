@@ -34,10 +34,10 @@ from mitsuba_plugins.arrays import aligned, rows_from_vectors, vectors_from_rows
 from mitsuba_plugins.beckmann import alpha_from_roughness, sample_visible_normal, smith_g1
 
 MIN_KNOWN = 0.1
-"""Lower bound of the known share of light, by which known light is divided to extrapolate to all light."""
+"""Lower bound on the known share of light; known light is divided by it to extrapolate to all light."""
 GOLDEN = 0.6180339887498949
-# Fractional parts of square roots. All steps of the random numbers of one path are rationally independent;
-# otherwise, its error would not vanish with more rays.
+# Fractional parts of square roots. All lattice steps of one path are rationally independent; otherwise, the
+# error would not vanish with more rays.
 _GUIDE_STEPS = (0.4142135623730951, 0.6457513110645906, 0.3166247903553998)
 _METAL_STEPS = (0.4494897427831781, 0.7416573867739413, 0.3851648071345042)
 _START = 2e-4  # offset of a ray's origin from the surface, relative to the room's diagonal
@@ -172,8 +172,8 @@ class Baker:
         """Trace ``ray`` into the field, and reflect it once at metals.
 
         Reflections also sample bright surfaces and emitters, combined by the balance heuristic. Where the
-        reflected ray's radiance is unknown, the metal keeps that of its surfel. ``sample`` may be None in a
-        field without metals.
+        reflected ray's radiance is unknown, the metal keeps its surfel's radiance. ``sample`` may be None in
+        a field without metals.
         """
         import drjit as dr
 
@@ -265,7 +265,7 @@ class Baker:
         return wo, dr.select(is_valid, radiance, 0.0), pdf, is_valid
 
     def emitter_pdf(self, result: RayResult, ray: Any) -> Any:
-        """Density [1/sr] with which :meth:`emitter_sample` samples ``ray``."""
+        """Density [1/sr] with which :meth:`emitter_sample` samples ``ray``, whose tracing gave ``result``."""
         import drjit as dr
         import mitsuba as mi
 
@@ -277,7 +277,7 @@ class Baker:
         return dr.select(is_emitter, area * dr.square(result.distance_m) / facing, 0.0)
 
     def lobe_weight(self, pdf: Any, result: RayResult, ray: Any) -> Any:
-        """Weight, by the balance heuristic, of a ray sampled from a lobe with density ``pdf`` [1/sr]."""
+        """MIS weight (balance heuristic) of a ray sampled from a lobe with density ``pdf`` [1/sr]."""
         import drjit as dr
         import mitsuba as mi
 

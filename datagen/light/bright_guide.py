@@ -3,10 +3,10 @@
 directions towards rectangles around them.
 
 Rays sampled from a lobe seldom hit a lamp of a few cells, which may emit most of a room's light. So each
-cluster of adjacent bright cells whose normals share a signed axis is enclosed in a rectangle perpendicular to
-it. A rectangle is chosen with probability proportional to its estimated light at the point. A sampled ray
-returns the radiance of the surface that it hits, so rectangles affect only the noise. The balance heuristic
-combines these rays with those of other techniques.
+cluster of adjacent bright cells whose normals are nearest to the same signed axis is enclosed in a rectangle
+perpendicular to this axis. A rectangle is chosen with probability proportional to its estimated light at the
+shading point. A sampled ray returns the radiance of the surface that it hits, so rectangles affect only the
+noise. The balance heuristic combines these rays with those of other techniques.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _MIN_FACING = 0.05  # minimum cosine at a rectangle, also for points not in fron
 BRIGHT = 10.0
 """Minimum luminance of a bright cell, relative to the median of all cells."""
 MIN_VARIANCE, MAX_RECTANGLES = 1.0, 4
-"""Minimum relative variance that a cluster with a rectangle causes in estimates from one ray, s^2 (1 / a - 1)
-with its share s of the power and share a of the area, and maximum number of rectangles."""
+"""Minimum relative variance of one-ray estimates due to a cluster with a rectangle, s^2 (1 / a - 1) for its
+shares s of the power and a of the area of all cells, and maximum number of rectangles."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class BrightGuide:
 
 
 def bright_rectangles(cells: Cells) -> list[BrightRectangle]:
-    """Rectangles around the clusters of bright ``cells`` that rays seldom hit, by decreasing variance.
+    """Rectangles around the clusters of bright ``cells`` that rays seldom hit, sorted by decreasing variance.
 
     Emitters have no cells; they are sampled separately.
     """
@@ -146,7 +146,7 @@ def bright_rectangles(cells: Cells) -> list[BrightRectangle]:
 def _rectangle(
     cells: Cells, at: NDArray[np.int64], side: int, power: float, variance: float
 ) -> BrightRectangle:
-    """Rectangle over the cells ``at`` (K, 3) of one ``side``, perpendicular to its axis at their median."""
+    """Bounding rectangle of cells ``at`` (K, 3) of one ``side``, at their median along the side's axis."""
     axis, is_upper = side // 2, side % 2 == 1
     low = cells.low + at.min(axis=0) * cells.cell_m
     high = cells.low + (at.max(axis=0) + 1) * cells.cell_m
@@ -160,7 +160,7 @@ def _rectangle(
 
 
 def adjacent_cells(at: NDArray[np.int64], side: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Ascending row indices of each cluster of adjacent cells ``at`` (K, 3) of the same ``side`` (K,)."""
+    """Row indices, ascending, of each cluster of adjacent cells ``at`` (K, 3) with the same ``side`` (K,)."""
     if not len(at):
         return []
     pairs = cKDTree(apart_by_side(at, side)).query_pairs(1.5, p=np.inf, output_type="ndarray")
@@ -170,5 +170,5 @@ def adjacent_cells(at: NDArray[np.int64], side: NDArray[np.int64]) -> list[NDArr
 
 
 def apart_by_side(at: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Points (K, 4) for neighbour searches among cells ``at`` (K, 3), with different sides (K,) far apart."""
+    """Points (K, 4) for neighbour searches among cells ``at`` (K, 3), far apart if ``side`` (K,) differs."""
     return np.column_stack([at, side * 4 * int(at.max() + 1)])

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Grid cells that store surface radiance: those of the surfels, larger cells that enclose them, and larger
-cells outside the surfels' grid.
+"""Grids of cells that store the radiance of surfaces, for each of a cell's six sides: the cells of the
+surfels, larger cells that enclose them, and larger cells outside the surfels' grid.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from datagen.light.surfels import NUM_SIDES, CellGrid, Surfels
 
 NUM_LEVELS = 3
-"""Number of cell sizes: one, two and four times the side of the surfels' cells."""
+"""Number of cell sizes: one, two and four times the size of the surfels' cells."""
 OUTER_CELLS, OUTER_MARGIN_CELLS = 8, 300
-"""Side of the cells outside the surfels' grid, and distance to which they extend beyond it, both relative to
-the side of the surfels' cells. The distance equals the diagonal of the photographed volume."""
+"""Size of the cells outside the surfels' grid, and distance to which they extend beyond it, both relative to
+the size of the surfels' cells. The distance equals the diagonal of the photographed volume."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class Cells:
     """A grid of C cells with six sides each, of which K have radiance.
 
     ``index`` (6 C,): row of each cell side in ``radiance`` (K, 3) and ``is_photographed`` (K,), -1 for none.
-    ``low`` (3,): lower corner of the grid in metres; ``cell_m``: side of a cell; ``shape`` (3,): cells along
-    each axis.
+    ``low`` (3,): lower corner of the grid in metres; ``cell_m``: edge length of a cell; ``shape`` (3,): cells
+    along each axis.
     """
 
     index: NDArray[np.int32]
@@ -59,7 +59,7 @@ def cell_keys(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[n
 
 
 def cell_indices(keys: NDArray[np.int64], shape: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Indices along the axes (K, 3) and sides (K,) of the cell sides ``keys`` (K,) of a grid of ``shape``."""
+    """Cell indices (K, 3) and sides (K,), 0 to 5, that ``keys`` (K,) encode in a grid of ``shape``."""
     *at, side = np.unravel_index(keys, (*shape, NUM_SIDES))
     return np.stack(at, axis=1), side
 
@@ -89,7 +89,7 @@ def _outer_grid(grid: CellGrid) -> CellGrid:
 
 def outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance: NDArray) -> Cells | None:
     """Larger cells in and around ``grid`` at points (N, 3) with normals (N, 3), each with the estimated
-    ``radiance`` (N, 3) of its first point; None if they contain no point.
+    ``radiance`` (N, 3) of its first point; None if no point is in reach (:data:`OUTER_MARGIN_CELLS`).
     """
     outer = _outer_grid(grid)
     keys, first = np.unique(cell_keys(outer, position_m, normal), return_index=True)
@@ -103,7 +103,7 @@ def outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance: 
 
 
 def pyramid(cells: Cells) -> list[Cells]:
-    """Return ``cells`` and grids of cells of two and four times the side, with the mean radiance inside."""
+    """Return ``cells`` and grids of cells of two and four times the size, with the mean radiance inside."""
     levels = [cells]
     occupied = np.flatnonzero(cells.index >= 0)
     at, side = cell_indices(occupied, cells.shape)

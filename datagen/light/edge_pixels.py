@@ -40,21 +40,21 @@ SHARE_ERROR = 0.04
 TEXTURE = 0.5
 """Assumed standard deviation of the radiance within a block or surfel, relative to the median."""
 BLOCK_CELLS = 20
-"""Side, in cells, of the blocks towards whose median surfels with few or uncertain pixels are shrunk."""
+"""Edge length in cells of blocks, to whose median surfels with few or uncertain pixels are shrunk."""
 MIN_SHARE = 0.1
-"""Lower bound of the divisor a_p."""
+"""Lower bound on the divisor a_p."""
 WINDOW, MIN_SPREAD = 9, 0.01
-"""Side in pixels of the regression window for the radiance of the background, and variance of the shares at
+"""Width in pixels of the regression window for the radiance of the background, and variance of the shares at
 which the regression and the nearest empty pixel have equal weight."""
 SAMPLED_EVERY = 7
-"""Sampling interval of the edge pixels far from mixed surfels, which affect only the slope."""
+"""One of this number of edge pixels far from mixed surfels is used; they affect only the slope."""
 MIN_CONTRAST = 0.2
-"""Minimum difference between X and the predicted L, relative to the larger one, of pixels used for the
+"""Minimum difference between X and the predicted L, relative to the larger one, in pixels used for the
 slope."""
 _TINY = 1e-30  # avoids a division by 0 where no radiance is behind, at any exposure
 EXACT_SLOPE = 0.9
-"""Lowest median found with exact meshes, by which medians are divided. In the development rooms, medians are
-0.90 to 1.04 with exact meshes and 0.25 to 0.84 with inaccurate ones."""
+"""Lowest median of the ratios found with an exact mesh; the slope is the median divided by it. In the
+development rooms, medians are 0.90 to 1.04 with exact meshes and 0.25 to 0.84 with inaccurate ones."""
 PRIOR_PIXELS = 1000
 """Number of pixels of sufficient contrast at which the measured slope and the prior, 1, have equal weight."""
 
@@ -102,7 +102,7 @@ def unmixed(
 def edge_slope(
     color: NDArray, share: NDArray, other: NDArray, known: NDArray, is_known: NDArray[np.bool_]
 ) -> float:
-    """Slope, in [0, 1], of the ``color`` (K, 3) of edge pixels against their prediction; see the module.
+    """Slope, in [0, 1], of the ``color`` (K, 3) of edge pixels against their prediction (module docstring).
 
     The prediction is ``share`` (K,) times the radiance ``known`` (K, 3) of the pixel's own surface, valid
     where ``is_known`` (K,), plus ``other`` (K, 3). Returns 1 if no pixel has sufficient contrast.
@@ -126,8 +126,8 @@ def _shrunk(
     own: NDArray,
     variance: NDArray,
 ) -> NDArray[np.float64]:
-    """Shrink radiance ``own`` (K, 3) of pixels, with luminance ``variance`` (K,), towards medians of surfels
-    ``owner`` (K,), which are shrunk towards medians of blocks of smooth regions; the result is at least 0.
+    """Shrink the radiance ``own`` (K, 3) of pixels, with luminance ``variance`` (K,), towards the median of
+    their surfel ``owner`` (K,), itself shrunk towards that of its block and smooth region; at least 0.
     """
     side_m = BLOCK_CELLS * surfels.grid.cell_m
     cell = np.floor((surfels.position_m - surfels.grid.low) / side_m).astype(np.int64)
@@ -168,7 +168,7 @@ def _edge_pixels(surfels: Surfels, index: int, view: TracedView) -> NDArray[np.i
 def _parts(
     field: RadianceField, view: TracedView, pixel: NDArray[np.int64], region_of_face: NDArray[np.int32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Shares a_p (K,) and radiances b_p (K, 3), see the module's docstring, of pixels with flat indices (K,).
+    """Shares a_p (K,) and radiances b_p (K, 3) of pixels with flat indices (K,); see the module's docstring.
 
     Surfaces of unknown radiance count as the pixel's own surface.
     """
@@ -224,8 +224,8 @@ def _rays_through(
 def _outside(view: TracedView, pixel: NDArray[np.int64], share: NDArray) -> NDArray[np.float32] | None:
     """Radiance (K, 3) of the background at the pixels with flat indices (K,); None without empty pixels.
 
-    Radiance is regressed on ``share`` (H, W), the part of each pixel without surface, in a window around the
-    pixel, and evaluated at share 1. Where shares hardly vary, the colour of the nearest empty pixel is used.
+    Radiance is regressed on ``share`` (H, W), the part of each pixel without a surface, in a window around
+    the pixel, and evaluated at share 1. Where shares hardly vary, the nearest empty pixel's colour is used.
     """
     from scipy.ndimage import distance_transform_edt, uniform_filter
 

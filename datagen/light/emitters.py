@@ -24,7 +24,7 @@ MIN_PIXELS = 4
 MAX_PIXELS = 5000
 """Approximate maximum number of pixels from which the radiance of an emitter is computed."""
 MIN_COVERED = 0.3
-"""Minimum share that an emitter covers of a pixel from which its radiance is computed."""
+"""Minimum share of a pixel that an emitter must cover for its radiance to be computed from the pixel."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ def photographed_emitters(
 ) -> Emitters:
     """Emitters of the triangles in the mask ``emits`` (M,), one per smooth region of ``region_of_face`` (M,).
 
-    The radiance is the median over pixels that show nothing else. If these are fewer than :data:`MIN_PIXELS`,
-    as behind blinds, it is the median of radiance divided by covered share, as if the rest were black, over
-    pixels of which the emitter covers at least :data:`MIN_COVERED`; if these are too few, it is 0.
+    The radiance is the median over pixels that show only the emitter. If there are fewer than
+    :data:`MIN_PIXELS`, as behind blinds, it is the median of radiance / covered share, as if the rest were
+    black, over pixels with a share of at least :data:`MIN_COVERED`; if these are too few, it is 0.
     """
     mesh = traced.mesh
     of_face = np.full(len(mesh.faces), -1, np.int32)

@@ -28,7 +28,7 @@ from datagen.light.surfels import NUM_SIDES, Surfels
 MAX_SURFELS, RAYS = 16_000, 96
 """Approximate maximum number of surfels used in the fit, and number of rays per surfel."""
 ROOM_PARTS = 5
-"""Number of parts of the room along its longest side; surfaces of one part and orientation share a gain."""
+"""Number of parts of the room along its longest axis; surfaces with the same part and side share a gain."""
 MIN_SHARE, MAX_GROUPS = 0.002, 96
 """Minimum mean share of the surfels' irradiance that a group with a fitted gain contributes, and maximum
 number of such groups."""

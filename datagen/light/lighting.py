@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Surfels and their incident light: radiance field, estimates of unphotographed surfaces and of the sun,
+"""Surfels and their incident light: radiance field, estimates of unphotographed surfaces and of the sun, and
 irradiance.
 """
 
@@ -28,8 +28,8 @@ from datagen.light.unseen_surfaces import Regions, unseen_surfaces
 MIN_SHADING = 1e-3
 """Share of the room's median shading below which a diffuse albedo is undetermined."""
 MAX_SUN_SURFELS, MAX_CLIPPED = 40_000, 0.1
-"""Approximate maximum number of surfels from which the sun is found, and maximum share of clipped pixels of a
-surfel whose radiance is known."""
+"""Approximate maximum number of surfels from which the sun is found, and share of clipped pixels above which
+the radiance of a surfel is only a lower bound."""
 MIXED_RAYS, BOUND_KNOWN = 48, (0.3, 0.6)
 """Rays per mixed surfel for the bound on its radiance, and the known shares of its incident light at which
 the bound starts to act and acts fully."""
@@ -62,7 +62,8 @@ class Lit:
 
     ``diffuse`` (N, 3): smoothed Ld = E / pi of all light; ``sunlight`` (N, 3): its part from ``sun`` (None if
     not found), which ``irradiance`` excludes; ``hidden`` (N,): share of the light attributed to
-    unphotographed lamps, in [0, 1]; ``seen``: the field of photographed radiance, without estimates.
+    unphotographed lamps, in [0, 1]; ``seen``: the field of photographed radiance, without estimates;
+    ``baker``: computes shading in the field with estimates; ``regions``: smooth regions of the mesh.
     """
 
     surfels: Surfels
@@ -99,8 +100,8 @@ def light_surfels(
 
     ``emits`` (M,): mask of the emissive triangles; ``region_of_face`` (M,): smooth region of each triangle.
     ``step`` returns a context manager for the stage of a given name. If the radiance of an emitter is not
-    photographed, ``unseen`` returns all emitters, given the light of the photographed ones. Raises
-    :class:`InputError` if the views show no extended surface.
+    photographed, it is 0 unless ``unseen`` is given, which returns the completed emitters, given the light of
+    the photographed ones. Raises :class:`InputError` if the views show no extended surface.
     """
     with step("surfels"):
         surfels = build_surfels(views)
@@ -137,7 +138,7 @@ def bounded(surfels: Surfels, unmixed: Baker) -> Surfels:
     """Bound the radiance of mixed surfels by their incident light, less strictly where less of it is known.
 
     Otherwise, a blind's slat that is one pixel wide would have the radiance of the sky behind it. ``unmixed``
-    computes light in the field without mixed surfels, most of whose pixels are at depth edges.
+    computes light in the field without mixed surfels (those with most pixels at depth edges).
     """
     mixed = np.flatnonzero(surfels.is_mixed)
     if not len(mixed):
@@ -205,7 +206,7 @@ def _estimated(
     sun.
 
     The estimated radiance is the typical reflectance of the smooth region times the incident light times a
-    gain, which is fitted to the diffuse part of the radiance, stored in the surfels ``diffuse``.
+    gain, which is fitted to the diffuse part of the photographed radiance, the radiance of ``diffuse``.
     """
     no_sunlight = np.zeros((len(surfels), 3), np.float32)
     if not options.estimates_unseen:

@@ -77,8 +77,8 @@ class Estimated(NamedTuple):
 
 
 class End(NamedTuple):
-    """Endpoint of a ray: its ``result``, the ``row`` of the cell's radiance (-1 for none), position,
-    normal facing the ray's origin, and whether the ray ``leaves`` the mesh.
+    """Endpoint of a ray: the ``result``, the ``row`` of the cell in ``Cells.radiance`` (-1 for none), the
+    position, the normal facing the ray's origin, and whether the ray ``leaves`` the mesh.
     """
 
     result: RayResult
@@ -217,7 +217,7 @@ class RadianceField:
         return position, normal, np.asarray(end.result.face.numpy())[chosen].astype(np.int64)
 
     def estimated(self, ray: Any) -> Estimated:
-        """Select the rays whose radiance is estimated."""
+        """Trace ``ray``, and return the rays whose radiance is estimated rather than photographed."""
         import drjit as dr
         import mitsuba as mi
 
@@ -295,7 +295,7 @@ def schlick_weight(cosine: Any) -> Any:
 
 
 def lobe_pdf(wi: Any, wo: Any, h: Any, alpha: Any) -> Any:
-    """Density [1/sr] of ``wo`` for half vectors ``h`` drawn from visible normals: D(h) G1(wi) / (4 cos_i)."""
+    """Density [1/sr] of ``wo`` for ``h`` sampled from the visible normals: D(h) G1(wi) / (4 cos_i)."""
     import drjit as dr
 
     valid = (h.z > 0) & (wo.z > 0)

@@ -35,17 +35,17 @@ REFINEMENTS, REFINED_DIRECTIONS = 6, 24
 MIN_COSINE = 0.1
 """Minimum cosine between the sun and the normal of a sunlit surfel."""
 MAX_LOG_RATIO = 1.5
-"""Bound on |ln reflectance| relative to the region's median, which lamps and highlights exceed."""
+"""Bound to which |ln (reflectance / the region's median)| is clipped; lamps and highlights exceed it."""
 MIN_CORRELATION, MIN_BRIGHT, MIN_ABOVE_WHITE = 0.3, 0.6, 0.3
 """Minimum correlation between the sun's visibility and ln reflectance, and minimum shares of sunlit surfels
-brighter than midway between the means of sunlit and other surfels, and brighter than white in shadow."""
+that are above the midpoint of the means of sunlit and other surfels, and brighter than white in shadow."""
 LOCAL_SURFELS, NEAREST_SHARE = 16, 0.5
 """Number of nearest shadowed surfels whose median reflectance is assumed for a sunlit one, and share of a
-region's sunlit surfels, those nearest to shadow, used for the sun's irradiance."""
+region's sunlit surfels that is used for the sun's irradiance, namely those nearest to shadow."""
 MIN_REFLECTANCE = 0.02
 """Minimum reflectance of a region that is used for the sun's irradiance."""
 DISK_SAMPLES = 16
-"""Number of directions to the sun's disk by which its visible share is computed."""
+"""Number of directions to the sun's disk from which its visible share is computed."""
 _BATCH = 1_000_000  # rays
 
 
@@ -72,7 +72,7 @@ class ShadowRays:
     start_m: float
 
     def sunlight(self, sun: Sun, position_m: NDArray, normal: NDArray) -> NDArray[np.float32]:
-        """Compute the diffuse shading (N, 3) by ``sun`` of surfaces with ``normal`` (N, 3)."""
+        """Compute the diffuse shading (N, 3) by ``sun`` at positions with normals, (N, 3) each."""
         cosine = np.maximum(normal @ sun.direction, 0) * self.disk_share(sun.direction, position_m, normal)
         return (cosine[:, None] * sun.radiance).astype(np.float32)
 
@@ -82,8 +82,8 @@ class ShadowRays:
         return self.escape(directions, position_m, normal).mean(axis=0)
 
     def escape(self, directions: Floats, position_m: NDArray, normal: NDArray) -> NDArray[np.bool_]:
-        """Compute the mask (D, N) of rays in ``directions`` (D, 3) that leave the scene and whose cosine to
-        the normal exceeds :data:`MIN_COSINE`.
+        """Compute the mask (D, N) of rays from N points in ``directions`` (D, 3) that leave the scene and
+        whose cosine to the normal exceeds :data:`MIN_COSINE`.
         """
         import mitsuba as mi
 
@@ -154,7 +154,7 @@ def _best(directions: Floats, surfaces: LitSurfaces, value: Floats, rays: Shadow
 
 
 def _log_ratio(surfaces: LitSurfaces) -> Floats:
-    """Compute ln of reflectance (N,) relative to the smooth region's median, within :data:`MAX_LOG_RATIO`."""
+    """Compute ln (reflectance / median of the smooth region) (N,), clipped at :data:`MAX_LOG_RATIO`."""
     reflected, arriving = luminance(surfaces.radiance), luminance(surfaces.diffuse)
     ratio = np.log(np.maximum(reflected, 1e-9) / np.maximum(arriving, 1e-9))
     order = np.lexsort((ratio, surfaces.region))
@@ -179,8 +179,8 @@ def _correlations(seen: NDArray[np.bool_], value: Floats, region: NDArray) -> Fl
 def _facing_radiance(surfaces: LitSurfaces, rays: ShadowRays, direction: Floats) -> Floats | None:
     """Compute the diffuse shading (3,) of a surface that faces the sun; None if no region has enough surfels.
 
-    It is the weighted median over regions of the median over sunlit surfels near shadow. Clipped surfels
-    count as infinitely bright; without them, the median would be too low.
+    It is the weighted median over regions of each region's median over sunlit surfels near shadow. Clipped
+    surfels count as infinitely bright; without them, the median would be too low.
     """
     seen = rays.disk_share(direction, surfaces.position_m, surfaces.normal)
     found, weight = [], []

@@ -27,22 +27,22 @@ Floats32 = NDArray[np.float32]
 CELLS_ACROSS = 300
 """Cells along the diagonal of the photographed volume: 2.5 cm for a diagonal of 7.5 m."""
 MIN_CELL_PIXELS = 1.0
-"""Minimum side of a cell in pixels at the median depth; many views would have no pixel in smaller cells."""
+"""Minimum size of a cell in pixels at the median depth; many views would have no pixel in smaller cells."""
 MAX_EDGE_SHARE = 0.5
 """Share of pixels at depth edges above which a surfel is mixed. A higher share would miss slats of a blind,
 between which no edge is detected since they are coplanar."""
 NUM_SIDES = 6
 EDGE_WEIGHT = 0.02
 """Weight of a pixel that is clipped or at a crease or depth edge, where surfaces mix; others weigh 1."""
-_MAX_EXTENT = 1.25  # size of the grid relative to the central 98 % of the pixels; those outside are ignored
+_MAX_EXTENT = 1.25  # of the grid, relative to the central 98 % of the pixels; those outside are ignored
 
 
 @dataclass(frozen=True)
 class CellGrid:
     """Grid of cubic cells.
 
-    ``low`` (3,): lower corner in metres; ``cell_m``: side of a cell; ``shape`` (3,): cells along each axis;
-    ``surfel`` (6 C,): index of the surfel at each cell side, -1 for none.
+    ``low`` (3,): lower corner in metres; ``cell_m``: edge length of a cell; ``shape`` (3,): cells along each
+    axis; ``surfel`` (6 C,): index of the surfel on each side of each cell, -1 for none.
     """
 
     low: NDArray[np.float64]
@@ -150,7 +150,7 @@ def camera_row(view: TracedView) -> NDArray[np.float64]:
 
 
 def _extent(views: Sequence[TracedView]) -> tuple[NDArray[np.float64], float, NDArray[np.int64]]:
-    """Corner, cell size and shape of the grid, from a sparse subset of the pixels."""
+    """Lower corner, cell size and shape of the grid, from a sparse subset of the pixels."""
     points, footprint = [], []
     for view in views:
         depth = view.geometry.depth_z_m[..., 0]
@@ -372,8 +372,8 @@ def _gathered(
 def weighted_medians(start, values, weight):
     """Weighted median (N, 3) of rows ``start[i]`` to ``start[i + 1]`` of ``values`` (M, 3), per channel.
 
-    It is the value at which the cumulative weight exceeds half of the total; if it equals half, the mean of
-    that value and the next; 0 without rows.
+    It is the first value at which the cumulative weight exceeds half of the total; if the weight equals half,
+    the mean of that value and the next; 0 without rows.
     """
     num = len(start) - 1
     found = np.zeros((num, 3), np.float32)
@@ -395,7 +395,7 @@ def weighted_medians(start, values, weight):
 
 
 def grouped_medians(values: NDArray, weight: NDArray, group: NDArray, num: int) -> NDArray[np.float32]:
-    """Compute the weighted median (``num``, 3) of the rows of ``values`` (M, 3) by ``group`` (M,)."""
+    """Compute the weighted median (``num``, 3) over each ``group`` (M,) of the rows of ``values`` (M, 3)."""
     order = np.argsort(group, kind="stable")
     start = np.searchsorted(group[order], np.arange(num + 1))
     return np.asarray(

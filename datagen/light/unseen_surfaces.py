@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Estimates the radiance of unphotographed surfaces, which illuminate the photographed ones.
 
-A surface without photographs is assumed to have the typical reflectance of its smooth region or object: the
-back of a door gets the reflectance of the front. Its light is gathered in rounds of one bounce each.
+An unphotographed surface is assumed to have the typical reflectance of its smooth region or object: the back
+of a door gets the reflectance of the front. Its light is gathered in rounds of one bounce each.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ MAX_ESTIMATED_SURFELS, ESTIMATE_RAYS_PER_SURFEL = 40_000, 16
 """Approximate maximum number of surfels, and number of rays per surfel, that search for unphotographed
 surfaces."""
 MAX_RATIO_SURFELS, RATIO_EVIDENCE, PRIOR_SURFELS = 16_000, (0.5, 0.9), 4.0
-"""Approximate maximum number of surfels from which typical reflectances are computed, range of the
-photographed share of their light over which their weight increases from 0 to 1, and total weight at which a
-region's (or object's) median counts as much as its prior, the median of its object (or the room)."""
+"""Approximate maximum number of surfels from which typical reflectances are computed; range of the
+photographed share of a surfel's light over which its weight increases from 0 to 1; and total weight at which
+the median of a region (or object) counts as much as its prior, the median of the object (or room)."""
 ESTIMATE_ROUNDS = 5
 """Number of rounds, each of which adds one bounce between unphotographed surfaces. The first assumes unknown
 light to be as bright as known light; from the fifth on, the mean radiance changes by less than 2 %."""
 EARLY_RAYS = 1 / 3
-"""Share of the rays used in all rounds but the last; the next round's rays average out the noise."""
-_REFLECTANCE_RANGE = (0.05, 0.9)  # lower and upper bound
-_MIN_KNOWN = 0.2  # lower bound of the known share of light, by which light is divided
+"""Share of ``num_rays`` in each round but the last; the next round's rays average out the noise."""
+_REFLECTANCE_RANGE = (0.05, 0.9)
+_MIN_KNOWN = 0.2  # lower bound on the known share of light, by which light is divided
 
 
 @dataclass(frozen=True)
 class Regions:
-    """Smooth regions of a mesh: the region ``of_face`` (M,) of each triangle, and the object (R,) of each
-    region, the connected part of the mesh that contains it.
+    """Smooth regions of a mesh: the region ``of_face`` (M,) of each triangle, and ``object_of_region`` (R,),
+    the connected part of the mesh to which each region belongs.
     """
 
     of_face: NDArray[np.int32]
@@ -69,9 +69,9 @@ class UnseenSurfaces:
 
 
 def unseen_surfaces(baker: Baker, surfels: Surfels, regions: Regions, num_rays: int) -> UnseenSurfaces:
-    """Estimate the radiance of surfaces that are unknown in the field of ``baker`` but visible from
-    surfels: the typical reflectance of their smooth region times their incident light, by ``num_rays`` rays
-    per point in the last round.
+    """Estimate the radiance of surfaces that are unknown in the field of ``baker`` but visible from surfels,
+    as the typical reflectance of their smooth region times their incident light (``num_rays`` rays per point
+    in the last round).
     """
     position, facing, face = _unknown_surface(baker, surfels)
     unseen = UnseenSurfaces(position, facing, np.zeros((len(position), 3), np.float32))
@@ -88,8 +88,8 @@ def unseen_surfaces(baker: Baker, surfels: Surfels, regions: Regions, num_rays: 
 
 
 def _unknown_surface(baker: Baker, surfels: Surfels) -> tuple[NDArray, NDArray, NDArray[np.int64]]:
-    """Find a position and normal (K, 3) and the triangle (K,) in each cell of unknown radiance that the
-    surfels' rays hit.
+    """Find the cells of unknown radiance that the surfels' rays hit; return a position and normal, (K, 3)
+    each, and a triangle (K,) in every cell.
     """
     step = max(1, len(surfels) // MAX_ESTIMATED_SURFELS)
     origin, normal = surfels.position_m[::step], surfels.normal[::step]
@@ -105,8 +105,8 @@ def typical_reflectance(
 ) -> NDArray[np.float64]:
     """Compute the typical reflectance pi L / E (R, 3) of R smooth regions.
 
-    It is the median over surfels, weighted by the photographed share of their light, shrunk towards the
-    object's median, itself shrunk towards the room's; it is 0.4 if too little light is photographed.
+    It is the median over surfels, weighted by the photographed share of their light and shrunk towards the
+    object's median, which is itself shrunk towards the room's; 0.4 if too little light is photographed.
     """
     step = max(1, len(surfels) // MAX_RATIO_SURFELS)
     lit = baker.irradiance(surfels.position_m[::step], surfels.normal[::step], num_rays)
@@ -121,7 +121,7 @@ def typical_reflectance(
     log_ratio = np.log(np.clip(ratio, *_REFLECTANCE_RANGE))
 
     def shrunk(group: NDArray, prior: NDArray) -> NDArray[np.float64]:
-        """Medians (K, 3) by ``group``, shrunk towards ``prior`` (K, 3)."""
+        """Median (K, 3) of each of K groups, shrunk towards ``prior`` (K, 3)."""
         total = np.bincount(group, weight, len(prior))
         own = (total / (total + PRIOR_SURFELS))[:, None]
         return own * grouped_medians(log_ratio, weight, group, len(prior)) + (1 - own) * prior

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Light recorded by the views of a room, per pixel, as input of networks.
 
-N is the number of surfels, M of observations. All values derive from the views' colours and the mesh, never
-from the ground truth, so they agree between datasets (``datagen run --only stats``) and captures (``materials
-infer``). Irradiance is computed per surfel and mirror reflections per observation; pixels interpolate between
-the surfels around them on their side of the surface.
+There are N surfels and M observations. All values derive from the views' colours and the mesh, never from
+the ground truth, so datasets (``datagen run --only stats``) and captures (``materials infer``) agree.
+Irradiance is computed per surfel and mirror reflections per observation; pixels interpolate between the
+surfels around them on their side of the surface.
 """
 
 from __future__ import annotations
