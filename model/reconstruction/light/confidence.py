@@ -29,7 +29,7 @@ IMPOSSIBLE_SURFACE = (0.4, 0.8)
 MIN_OBSERVATIONS = 50.0
 """Number of observations at which a share has the same weight as the share to which it is shrunk."""
 BLOCK_CELLS = 25
-"""Side in cells of the blocks over which shares are computed: a twelfth of the room's diagonal."""
+"""Edge length in cells of the blocks over which shares are computed: a twelfth of the room's diagonal."""
 DOUBT = (0.15, 0.6)
 """Range of the uncertain share of a surfel's diffuse shading, over which confidence decreases to 0."""
 HIDDEN_LIGHT = (0.25, 0.4)
@@ -38,13 +38,13 @@ over which the confidence of D, S and R decreases from 1 to 0."""
 INFERRED_LIGHT = (0.4, 1.0)
 """Like :data:`HIDDEN_LIGHT`, for unphotographed lamps that the geometry declares."""
 METAL_TRUST = 0.85
-"""Lower bound of the factor by which unphotographed light reduces the confidence of metals. Photographs
-record the light that metals reflect, but such light makes more dielectrics look like metal."""
+"""Lower bound on the factor by which unphotographed light reduces the confidence of metals: it is high, since
+photographs record the light that metals reflect, and below 1, since dielectrics may be mistaken for metal."""
 BUMPY, BUMPY_ROOM, BUMPY_TRUST = (0.05, 0.3), (0.01, 0.05), 0.5
 """Ranges of the spread of normals around a surfel and of its median over the room, in radians, over which the
-confidence of R decreases to the factor :data:`BUMPY_TRUST`. A mesh with errors is bumpy everywhere and
-reflects in wrong directions; an exact mesh is curved only at some objects."""
-_BUMPY_NEIGHBOURS, _SAME_SURFACE = 12, 0.7  # number, and minimum cosine between their normals
+factor of the confidence of R decreases from 1 to :data:`BUMPY_TRUST`. A mesh with errors is bumpy everywhere
+and reflects in wrong directions; an exact mesh is curved only at some objects."""
+_BUMPY_NEIGHBOURS, _SAME_SURFACE = 12, 0.7  # number of neighbours, and minimum cosine to their normals
 _NEAR_BLOCKS = 8
 D_EVIDENCE, S_EVIDENCE = (0.65, 1.0), (0.0, 0.2)
 """Ranges of the photographed share of a surfel's hemisphere over which the confidence of D, and that of S and
@@ -59,7 +59,7 @@ def surfel_confidence(photographed: NDArray, is_mirror: NDArray[np.bool_]) -> ND
     The relative error of D equals that of the irradiance, so D needs a larger share than S and R, whose
     priors already weigh more where evidence is weak: even below a share of 0.3, the squared error of R from
     light is 0.03 to 0.9 times the network's in the development rooms. Mirrors (``is_mirror`` (N,)) need no
-    photographed hemisphere, since the images that they reflect determine them.
+    photographed hemisphere, since the reflected images alone determine their material.
     """
     photographed = np.where(is_mirror, 1.0, photographed)
     of_d = _ramp(photographed, D_EVIDENCE)
@@ -80,7 +80,7 @@ class ImpossibleShares:
     def trust(self) -> NDArray[np.float32]:
         """Compute the factor (N,), in [0, 1], of the confidence of D, S and R.
 
-        It is 1 below :data:`IMPOSSIBLE_ROOM`, since some surfels are too bright in any room.
+        It is 1 if ``of_room`` is below :data:`IMPOSSIBLE_ROOM`: some surfels are too bright in any room.
         """
         trust = 1 - _ramp(self.of_room, IMPOSSIBLE_ROOM) * _ramp(self.around, IMPOSSIBLE)
         return (trust * (1 - _ramp(self.of_room, DARK_ROOM))).astype(np.float32)
@@ -88,8 +88,8 @@ class ImpossibleShares:
     def evidence(self) -> NDArray[np.float32]:
         """Compute the additional factor (N,), in [0, 1], of the confidence of D.
 
-        Where most of a surface reflects more than its incident light, its shading is corrected from other
-        surfaces and the network's maps.
+        It is lower where most of a surface reflects more than its incident light; there, the shading is
+        corrected by other surfaces and the network's maps (``shading_correction``).
         """
         return (1 - _ramp(self.around, IMPOSSIBLE_SURFACE)).astype(np.float32)
 
@@ -99,10 +99,10 @@ def impossible_shares(
 ) -> ImpossibleShares:
     """Compute the shares of surfels that reflect more than their incident light.
 
-    Such surfels have a radiance above :data:`MAX_REFLECTED` times their shading ``diffuse`` (N, 3). Surfels
-    are weighted by their number of views; metals and mixed surfels are ignored. Local shares are computed in
-    blocks of :data:`BLOCK_CELLS` cells of each smooth ``region`` (N,) and interpolated between blocks. With
-    few views, the share of a block is shrunk to that of its region, and a region's to that of the room.
+    Their radiance is above :data:`MAX_REFLECTED` times their shading ``diffuse`` (N, 3). Surfels are weighted
+    by their number of views; metals and mixed surfels are ignored. Local shares are computed per smooth
+    ``region`` (N,) in blocks of :data:`BLOCK_CELLS` cells, and interpolated between blocks. With few views,
+    a block's share is shrunk to its region's, and a region's to the room's.
     """
     excess = (surfels.radiance - MAX_REFLECTED * diffuse) @ LUMINANCE_WEIGHTS > 0
     weight = (np.diff(surfels.observations.start) * ~(is_metal | surfels.is_mixed)).astype(np.float64)
@@ -178,11 +178,11 @@ def _ramp(value: NDArray | float, ends: tuple[float, float]) -> NDArray:
 
 @dataclass(frozen=True)
 class SurfelConfidence:
-    """Confidence of N surfels by cell and side, one of six directions of the normal, of the surfel grid.
+    """Confidence of N surfels by grid cell and side of the cell, the signed axis nearest to the normal.
 
     ``low`` (3,), ``cell_m`` and ``shape`` (3,): lower corner, cell size and number of cells of the grid;
-    ``cell`` (N,): index of each surfel's cell and side, ascending; ``confidence`` (N, 3): D, S and R in steps
-    of 1 / 255.
+    ``cell`` (N,): key of each surfel's cell and side, ascending; ``confidence`` (N, 3): of D, S and R, 255
+    for 1.
     """
 
     low: NDArray[np.float64]
@@ -201,7 +201,7 @@ class SurfelConfidence:
     def at(self, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
         """Look up the confidence (..., 3), 0 to 255, at surface ``points`` with ``normals``, (..., 3) each.
 
-        Without a surfel in the point's cell, it is that of the nearest adjacent cell with a surfel, else 0.
+        Without a surfel in the point's cell, it is that of the nearest adjacent cell that has one, else 0.
         """
         flat = points.reshape(-1, 3).astype(np.float64)
         side = np.ascontiguousarray(normals.reshape(-1, 3), np.float32)

@@ -33,8 +33,8 @@ HEIGHT, WIDTH = 64, 128
 def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) -> FoundLights:
     """Collect the recovered lamps, panels, windows, sky and sun of a room, and the holes of its mesh.
 
-    The sky is returned only if there are windows, and the light from outside depends only on direction or
-    includes a sun, whose light the windows' rectangles would block.
+    The sky is included only if there are windows and, in addition, the light from outside depends only on
+    direction or includes a sun, whose light the windows' rectangles would block.
     """
     field = lit.baker.field
     lamps = found_lamps(field.emitters, traced.mesh, geometry.parts)
@@ -72,7 +72,7 @@ def radiance_samples(views: Sequence[TracedView], num: int = NUM_SAMPLES) -> Rad
 def sky_image(background: Background) -> NDArray[np.float32]:
     """Convert the radiance of a ``background`` to an image of a distant sky (HEIGHT, WIDTH, 3).
 
-    A pixel is the mean of its known bins; a pixel without known bins equals the nearest pixel with some.
+    A pixel is the mean of the known bins in it or, without any, equals the nearest pixel that has some.
     """
     of_direction = directions_of(background.layout.bin_directions(), HEIGHT)
     pixel = np.resize(of_direction, background.layout.num_bins)[background.is_known]

@@ -4,10 +4,10 @@
 Each emissive part of the geometry is a lamp, and so is every other smooth region that was found to emit.
 
 Surfels of panels have several times the maximum radiance that they could reflect, in nearly all views (a
-mirror reflects a lamp in some views only), and several times that of the surrounding surface (the light of a
-hidden lamp decreases gradually). Adjacent surfels with normals nearest to one axis are clustered and
-exported as rectangles perpendicular to it, just in front of the surface, since the triangles of a ceiling
-extend beyond its lamp.
+mirror reflects a lamp in some views only), and several times the radiance of the surrounding surface (the
+light of a hidden lamp decreases gradually). Adjacent surfels with normals nearest to the same axis are
+clustered and exported as rectangles perpendicular to it, just in front of the surface, since the triangles of
+a ceiling extend beyond its lamp.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ EXCESS = 2.5
 FAINTEST, MIN_VIEWS = 0.2, 3
 """Share of the views in which a lamp may be fainter than that, and minimum number of views that show it."""
 MIN_PHOTOGRAPHED = 0.5
-"""Minimum photographed share of a surfel's hemisphere, since irradiance lacks the light of hidden lamps."""
+"""Minimum photographed share of a surfel's hemisphere; its irradiance may lack the light of hidden lamps."""
 MIN_CELLS, MIN_SHARE = 4, 0.003
 """Minimum number of cells of a lamp, and its minimum share of the radiant power of all surfels."""
 MAX_BLOCK = 16
-"""Maximum side of a rectangle in cells."""
+"""Maximum width and height of a rectangle in cells."""
 MIN_EDGE, RING_CELLS = EXCESS, (1.5, 3.5)
 """Minimum radiance of a lamp relative to the surfels in a ring around it, and radii of the ring in cells. In
 the smooth light of a hidden lamp, the ratio is up to 2.4."""
@@ -122,8 +122,8 @@ def _within(tree: cKDTree, points: NDArray[np.int64], reach: float) -> NDArray[n
 
 
 def _faintest(lit: Lit, surfels: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Compute the quantile :data:`FAINTEST` (K,) of the luminance of ``surfels`` (K,) over their views; 0
-    with fewer than :data:`MIN_VIEWS` views.
+    """Compute the :data:`FAINTEST` quantile over views of the luminance of each of ``surfels`` (K,); 0 with
+    fewer than :data:`MIN_VIEWS` views.
     """
     observations = lit.surfels.observations
     found = np.zeros(len(surfels))
@@ -135,7 +135,7 @@ def _faintest(lit: Lit, surfels: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def _patch(cell: NDArray[np.int64], side: int, surfel: NDArray[np.int64], lit: Lit) -> FoundPatch:
-    """Make the panel that covers the cells ``cell`` (K, 3) of ``side`` with the surfels ``surfel`` (K,)."""
+    """Make the panel of the surfels ``surfel`` (K,) on the ``side``, 0 to 5, of the cells ``cell`` (K, 3)."""
     surfels, grid = lit.surfels, lit.surfels.grid
     axis, is_upper = side // 2, side % 2 == 1
     across = [k for k in range(3) if k != axis]
@@ -147,7 +147,7 @@ def _patch(cell: NDArray[np.int64], side: int, surfel: NDArray[np.int64], lit: L
     np.add.at(num, tuple(at.T), 1)
     np.add.at(sums, tuple(at.T), surfels.radiance[surfel])
     mean = sums.sum(axis=(0, 1)) / num.sum()
-    # fills gaps of cells without observations
+    # fills gaps where cells have no observations
     mask = ndimage.binary_closing(np.pad(num > 0, 2), np.ones((3, 3)))[2:-2, 2:-2]
     area_m2 = float(mask.sum()) * grid.cell_m**2
     height = float(np.median(surfels.position_m[surfel, axis])) + _GAP * grid.cell_m * (1 if is_upper else -1)

@@ -24,8 +24,8 @@ NO_SURFACE = 128
 
 
 def lit(traced: TracedCapture, estimate: Estimate, run: Run, options: LightOptions | None = None) -> Estimate:
-    """Estimate D, S and R from light, blended with the given maps where evidence is weak, and recover the
-    lights; maps on disk remain as predicted.
+    """Estimate D, S and R from light, blended with the maps of ``estimate`` where evidence is weak, and
+    recover the lights; maps on disk remain as predicted.
     """
     options = options or LightOptions(has_prior=run.options.materials == "both")
     report = LightReport()

@@ -2,9 +2,9 @@
 """Finds openings: rectangles through which rays from a room's surfaces leave its mesh, and their radiance.
 
 Rays that leave the background's bounding box through one connected part of a face belong to one opening. Its
-plane is parallel to the face, at the depth where these rays cover the smallest area. Rays from surfels are
-cosine-distributed, so the mean radiance of the rays through a rectangle preserves the irradiance. All rays
-through an opening are averaged, regardless of the face of the box through which they leave.
+plane is parallel to the face, at the depth where these rays cover the smallest area. All rays through an
+opening are averaged, regardless of the face of the box through which they leave; since rays from surfels are
+cosine-distributed, their mean radiance preserves the irradiance.
 
 Where the mesh has a hole, photographs show the missing surface, which does not emit and is therefore darker
 than white paint would be there: openings that are no brighter are holes, not windows.
@@ -29,11 +29,11 @@ from model.reconstruction.found_lights import FoundPatch, Rectangle, as_color
 from model.reconstruction.light.rectangles import cover, cut
 
 FINE = 96
-"""Number of squares along each side of a face of the bounding box."""
+"""Number of squares along each edge of a face of the bounding box."""
 RAYS = 600_000
 MIN_RAYS, MIN_OPEN = 2, 0.4
-"""Minimum number of rays through an open square, absolute and relative to the median over crossed squares; a
-square at the edge of a window is only partly open."""
+"""Minimum number of rays through an open square, absolute, and relative to the median over crossed squares;
+the latter is below 1, since a square at the edge of a window is only partly open."""
 PLANES, MAX_DEPTH, MIN_INSIDE = 16, 0.25, 0.9
 """Number of candidate planes per face of the box, maximum depth of a plane relative to the box, and minimum
 share of an opening's rays that start on the inner side of its plane."""
@@ -41,22 +41,22 @@ MAX_BUNDLES, MIN_BUNDLE = 32, 1e-3
 """Maximum number of bundles of rays, found in decreasing order of size, and minimum share of leaving rays in
 each."""
 MIN_SIDE = 1 / 60
-"""Side of the smallest window, relative to the box's diagonal; smaller openings may be cracks of the mesh."""
+"""Square root of a window's minimum area, relative to the box's diagonal; smaller openings may be cracks."""
 MAX_BLOCK = FINE // 6
-"""Maximum side of a rectangle in squares; larger ones are cut to preserve gradients of radiance."""
+"""Maximum width and height of a rectangle in squares; larger ones are cut, to keep gradients of radiance."""
 DARK = 1e-3
 """Minimum luminance of a window relative to the median over surfels."""
 AROUND = 64
 """Number of surfels around an opening; their mean diffuse shading is the radiance of white paint there."""
-_GAP = 1e-3  # from plane to rectangles, in box diagonals, so that these never coincide with a wall
+_GAP = 1e-3  # from plane to rectangles, in box diagonals, so that rectangles never coincide with a wall
 
 
 @dataclass(frozen=True)
 class LeavingRays:
     """N rays from surfels that leave the mesh.
 
-    ``origin``, ``direction`` and ``radiance`` are (N, 3); ``face`` (N,): face of the bounding box that the
-    ray crosses, 2 axis + (1 if upper); ``is_known`` (N,): whether the radiance is known.
+    ``origin``, ``direction`` and ``radiance`` are (N, 3), the latter valid where ``is_known`` (N,); ``face``
+    (N,): face of the bounding box through which the ray leaves, 2 axis + (1 if upper).
     """
 
     origin: NDArray[np.float64]
@@ -127,7 +127,7 @@ def found_openings(
 def divide_openings(
     openings: Sequence[FoundPatch], surfels: Surfels, diffuse: NDArray[np.float32]
 ) -> tuple[tuple[FoundPatch, ...], tuple[FoundPatch, ...]]:
-    """Divide openings into windows and holes of the mesh by the ``diffuse`` shading (N, 3) of the surfels."""
+    """Divide openings into windows and holes by the ``diffuse`` shading (N, 3) of the surfels around them."""
     white, tree = diffuse @ LUMINANCE_WEIGHTS, cKDTree(surfels.position_m)
     windows: list[FoundPatch] = []
     holes: list[FoundPatch] = []
@@ -190,8 +190,8 @@ class _Plane:
 
 @dataclass(frozen=True)
 class _Squares:
-    """Sums over the rays through each square of a plane: the number of rays ``num`` and of rays of ``known``
-    radiance, (FINE, FINE), and the ``sums`` (FINE, FINE, 3) of known radiance.
+    """Sums over the rays through each square of a plane: the numbers of rays, ``num``, and of rays of known
+    radiance, ``known``, (FINE, FINE) each, and the ``sums`` (FINE, FINE, 3) of known radiance.
     """
 
     num: NDArray[np.int64]
@@ -261,7 +261,7 @@ def _narrowest(rays: LeavingRays, background: Background, face: int) -> _Plane:
 def _window(part: NDArray[np.bool_], seen: _Squares, plane: _Plane) -> FoundPatch | None:
     """Make a window of the connected open squares ``part``; None if it is too small or its radiance unknown.
 
-    Its rectangles cover most of the squares and emit the total power of all of them.
+    Its rectangles cover most of the squares and together emit the power of all squares.
     """
     area_m2 = float(part.sum() * plane.square_m.prod())
     diagonal = float(np.linalg.norm(plane.box.high - plane.box.low))

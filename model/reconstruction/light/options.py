@@ -18,12 +18,13 @@ from model.reconstruction.light.solve import PriorWeights
 class LightOptions(GatherOptions):
     """Options of the light stage.
 
-    ``solve_rays``: rays per observation of a solved surfel and roughness level; ``specular_rays``: rays per
-    observation of any surfel; ``max_points``: maximum number of solved surfels (see ``points``);
-    ``num_observations``: maximum number of observations of each; ``num_rounds``: 1, or 2 for a second round
-    with less noise, reflections at metals and the mean outgoing radiance of dielectrics; ``unmixes_edges``:
-    whether radiance is separated in pixels that mix two surfaces; ``has_prior``: whether the network's maps
-    are a prior; ``is_corrected``: whether ``shading_correction`` is applied.
+    ``solve_rays``: rays per roughness level and observation of a solved surfel; ``specular_rays``: rays per
+    observation of any surfel for its specular part; ``max_points``: maximum number of surfels to be solved
+    (see ``points``); ``num_observations``: maximum number of observations of each; ``num_rounds``: 1, or 2
+    for a second round with less noise, reflections at metals and the mean outgoing radiance of dielectrics;
+    ``prior``: weights of the priors; ``has_prior``: whether the network's maps are a prior;
+    ``unmixes_edges``: whether the radiance of other surfaces is removed from pixels at depth edges;
+    ``is_corrected``: whether ``shading_correction`` is applied.
     """
 
     finds_sun: bool = True
@@ -68,7 +69,7 @@ class LightReport:
 
     @contextmanager
     def step(self, name: str) -> Iterator[None]:
-        """Time a step, and call ``advance`` after it."""
+        """Record a step's time and the peak memory, and call ``advance`` after it."""
         start = time.perf_counter()
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start

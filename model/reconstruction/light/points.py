@@ -5,10 +5,10 @@ computes the specular shading of their observations, and solves the segments for
 A segment is a part of a smooth region of the mesh with similar reflectance and predictions. These features
 are binned, and a bin with few surfels is merged with the nearest bin of its region.
 
-The solved segments give the mean outgoing radiance of surfels, by which they illuminate each other. Cameras
-at eye height record floors and table tops at grazing angles, at which they reflect windows and lamps; their
-light reaches ceilings and walls at other angles. For dielectrics, the photographed radiance is therefore
-replaced by its diffuse part plus the mean of the specular part over the hemisphere.
+The solved materials determine the mean outgoing radiance of surfels, with which these illuminate each other.
+Cameras at eye height record floors and table tops at grazing angles, where they reflect windows and lamps;
+floors and table tops illuminate ceilings and walls at other angles. For dielectrics, the photographed
+radiance is therefore replaced by its diffuse part plus the mean of the specular part over the hemisphere.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ HALF_EVIDENCE_VIEWS = 1.0
 """Number of views at which a surfel has half of the full evidence; in few views, other materials may resemble
 metal."""
 MIN_VIEWS, MIN_LIGHT = 3, 0.6
-"""Minimum number of views and known share of light of preferred surfels."""
+"""Minimum number of views and known share of light of surfels that are preferred when points are chosen."""
 _MIN_WEIGHT = 0.1  # preferred minimum weight of an observation
 _QUOTA_STEP = 8
 UNSEEN_WEIGHT = 0.05
@@ -56,17 +56,18 @@ SPECULAR_RAYS = 3
 MIN_DIFFUSE = 0.1
 """Minimum diffuse part, relative to the photographed radiance."""
 ROUGH = (0.5, 0.8)
-"""Range of R over which increases over the photographed radiance fade to 0, since rough dielectrics can
-hardly be distinguished from matte surfaces, whose S is 0."""
+"""Range of R over which increases of outgoing over photographed radiance fade to 0, since rough dielectrics
+can hardly be distinguished from matte surfaces, whose S is 0."""
 _SEED = 41
 
 
 def segment_surfels(
     region: NDArray, reflectance: NDArray, specular_albedo: NDArray, roughness: NDArray
 ) -> NDArray[np.int32]:
-    """Compute the index (N,) of each surfel's segment, from 0 without gaps, from its smooth ``region`` (N,),
-    ``reflectance`` pi radiance / irradiance (N, 3), and predicted ``specular_albedo`` (N, 3) and
-    ``roughness`` (N,).
+    """Divide surfels into segments; return each surfel's segment (N,), numbered from 0 without gaps.
+
+    Per surfel: smooth ``region`` (N,), ``reflectance`` pi radiance / irradiance (N, 3), and predicted
+    ``specular_albedo`` (N, 3) and ``roughness`` (N,).
     """
     feature = _features(reflectance, specular_albedo, roughness)
     bins = np.round(feature).astype(np.int64)
@@ -141,8 +142,8 @@ class Points:
 
 
 def choose_points(surfels: Surfels, segment: NDArray, known: NDArray, options: LightOptions) -> Points:
-    """Choose up to ``max_points`` surfels, equally many of each segment (index ``segment`` (N,)) or all of a
-    small one, but at least :data:`_QUOTA_STEP` of each even beyond ``max_points``.
+    """Choose up to ``max_points`` surfels: equally many of each segment (index ``segment`` (N,)), or all of a
+    small one; at least :data:`_QUOTA_STEP` of each, even if their sum exceeds ``max_points``.
 
     ``known`` (N,) is the known share of the surfels' light. Each surfel has at most ``num_observations``,
     chosen at equal steps of rank from the darkest to the brightest.
@@ -168,7 +169,7 @@ def choose_points(surfels: Surfels, segment: NDArray, known: NDArray, options: L
 
 
 def _observation_weights(surfels: Surfels) -> NDArray[np.float32]:
-    """Compute each observation's weight (M,): that of its pixels, at most 4, times the viewing cosine."""
+    """Compute each observation's weight (M,): its pixels' weight, at most 4, times the viewing cosine."""
     observations = surfels.observations
     surfel = surfels.surfel_of_observation()
     direction = surfels.directions(surfel, observations.view)
@@ -289,7 +290,7 @@ def outgoing_radiance(
     """Compute the mean outgoing radiance (N, 3) of N surfels, and its diffuse part (N, 3).
 
     Both are the photographed radiance for metals and mixed surfels. ``specular`` (M, 3): specular part of
-    each observation; of the surfels: ``specular_albedo`` (N, 3), ``roughness`` (N,), ``is_metal`` (N,).
+    each observation; per surfel: ``specular_albedo`` (N, 3), ``roughness`` (N,), ``is_metal`` (N,).
     """
     surfels, observations = lit.surfels, lit.surfels.observations
     diffuse = weighted_medians(observations.start, observations.radiance - specular, observations.weight)

@@ -15,8 +15,8 @@ COVERED, MAX_RECTANGLES = 0.98, 12
 
 
 def cover(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
-    """Find disjoint rectangles (row, column, rows, columns) that cover the share :data:`COVERED` of a mask
-    (H, W), at most :data:`MAX_RECTANGLES`, in decreasing order of size.
+    """Find up to :data:`MAX_RECTANGLES` disjoint rectangles (row, column, rows, columns) that cover the share
+    :data:`COVERED` of a mask (H, W), in decreasing order of size.
     """
     rest = mask.copy()
     found: list[tuple[int, int, int, int]] = []
@@ -28,7 +28,7 @@ def cover(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
 
 
 def cut(block: tuple[int, int, int, int], max_side: int) -> list[tuple[int, int, int, int]]:
-    """Cut a rectangle (row, column, rows, columns) into pieces of at most ``max_side`` a side."""
+    """Cut a rectangle (row, column, rows, columns) into pieces of at most ``max_side`` rows and columns."""
     row, column, rows, columns = block
     num_rows, num_columns = -(-rows // max_side), -(-columns // max_side)
     tops = np.linspace(row, row + rows, num_rows + 1).round().astype(int)

@@ -3,15 +3,15 @@
 
 Missing or wrongly estimated light affects a whole neighbourhood, so the error of shading is smooth over a
 surface, regardless of texture. The correction u (N, 3) of ln rho, with the albedo rho = pi radiance /
-irradiance, minimises, over surfels and pairs (i, j) of adjacent surfels,
+irradiance, minimises, summed over surfels and over pairs (i, j) of adjacent surfels,
 
     max(c, e) u^2 + SMOOTHNESS sum w (u_i - u_j)^2
         + (1 - c) (W_p (ln(D_p / rho) - u)^2 + W_r (ln(D_r / rho) - u)^2),
 
-with c the confidence in the light, e the weight of estimated light, D_p the network's albedo at the scale of
-the confident surfels, and D_r the mean albedo of the confident surfels of the same smooth region. The weight
-of each prior is the inverse square of its spread among the confident surfels; Huber weights make both robust.
-Texture is preserved.
+with c the confidence in the light, e the weight of estimated light, w the proximity of the pair, D_p the
+network's albedo scaled to that of the confident surfels, and D_r the mean albedo of the confident surfels of
+the same smooth region. The weights W_p and W_r decrease with the squared spread of each prior among the
+confident surfels; Huber weights make both priors robust. Texture is preserved.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from datagen.light.cells import cell_keys
 from datagen.light.surfels import CellGrid, Surfels, grouped_medians, near_surfels
 
 SMOOTHNESS = 100.0
-"""Weight of differences of u between adjacent surfels, relative to that of u of a surfel with known light."""
+"""Weight of differences of u between adjacent surfels, where u itself has weight 1 if the light is known."""
 ESTIMATE_WEIGHT, ESTIMATE_EVIDENCE = 0.5, (0.1, 0.65)
 """Maximum of the weight e of estimated light, and range of the photographed share of a surfel's hemisphere
-over which e increases from 0 to it."""
+over which e increases from 0 to this maximum."""
 NETWORK_WEIGHT, REGION_WEIGHT = 0.02, 0.3
 """Weights of the priors at a spread of 1; small, since the errors of neighbouring surfels are correlated."""
 MIN_SPREAD_NETWORK, MIN_SPREAD_REGION = 0.25, 0.1
 """Standard deviations of ln D that are added in quadrature to the spreads."""
 SCALE_SUPPORT = 0.05
-"""Mean confidence in the light at which the network's albedo is scaled by the square root of the ratio found
-at confident surfels."""
+"""Mean confidence in the light at which the network's albedo is multiplied by only the square root of the
+factor found at confident surfels (:func:`network_scale`)."""
 MIN_SUPPORT = 10.0
-"""Number of confident surfels from which a region's prior has weight; full weight requires ten times as
+"""Number of confident surfels below which a region's prior has no weight; full weight requires ten times as
 many."""
 _NEIGHBOURS = 9
 _BLOCK = 5  # in cells
@@ -94,7 +94,7 @@ def shading_correction(
 
 
 def network_scale(albedo: NDArray, predicted: NDArray, confident: NDArray) -> NDArray[np.float32]:
-    """Compute the RGB factor (3,) from the network's albedo ``predicted`` to ``albedo``, both (N, 3).
+    """Compute the RGB factor (3,) that scales the network's albedo ``predicted`` to ``albedo``, (N, 3) each.
 
     ``confident`` (N,) is the confidence in the surfels' light, 0 for metals. The factor tends to 1 if little
     light is known (:data:`SCALE_SUPPORT`).
@@ -121,8 +121,8 @@ def _minimised(
 ) -> NDArray:
     """Solve ``matrix`` (N, N) x = ``right`` (N, 3) by conjugate gradients from ``start`` (N, 3).
 
-    The preconditioner, Jacobi plus a coarse solve with one unknown per block, speeds up smooth long-range
-    corrections; ``blocks`` (N, K) is the membership. Raises ArithmeticError if it does not converge.
+    The preconditioner, Jacobi plus a coarse solve with one unknown per block (``blocks`` (N, K), see
+    :func:`_blocks`), speeds up smooth long-range corrections. Raises ArithmeticError without convergence.
     """
     coarse = splu((blocks.T @ matrix @ blocks).tocsc())
     diagonal = matrix.diagonal()
@@ -142,7 +142,7 @@ def _minimised(
 
 
 def _blocks(surfels: Surfels) -> sparse.csr_matrix:
-    """Compute the membership (N, K), 0 or 1, of surfels in blocks of :data:`_BLOCK`^3 cells and one side."""
+    """Compute the membership (N, K), 0 or 1, of surfels in blocks, one side of :data:`_BLOCK`^3 cells each."""
     grid = surfels.grid
     shape = -(-grid.shape // _BLOCK)
     coarse = CellGrid(grid.low, _BLOCK * grid.cell_m, shape, grid.surfel)
@@ -157,8 +157,8 @@ def _grouped_spread(
     """Compute the robust mean (N, 3), standard deviation (N,) and total weight (N,) of the group of each row
     of ``values`` (N, 3).
 
-    The deviation follows from mean absolute deviations, clipped at 1. The mean is that of values clipped at
-    twice the deviation from the median, since the median of a checkerboard would be one of its two colours.
+    The deviation follows from absolute deviations from the median, clipped at 1. The mean is that of values
+    clipped at twice the deviation, since the median of a checkerboard would be one of its two colours.
     """
     keys, index = np.unique(group, return_inverse=True)
     total = np.bincount(index, weight, len(keys)).astype(np.float64)

@@ -43,9 +43,9 @@ DIELECTRIC_RESIDUAL, METAL_RESIDUAL = (0.03, 0.06), (0.06, 0.12)
 the observations. Dielectrics of high residual are mostly metals in inexact light or geometry; true metals fit
 worse than true dielectrics, since they reflect the errors of light and geometry."""
 NETWORK_VARIANCE = 0.1
-"""Variance of the network's R. Times the square root of the number of views, it is compared with the variance
-of R over hypotheses, which omits errors of light and geometry: all hypotheses share them, and they are
-correlated among the views of a surfel."""
+"""Assumed variance of the network's R. The confidence of R compares the variance of R over hypotheses with
+this value times the square root of the number of views. The variance over hypotheses omits errors of light
+and geometry, which all hypotheses share and which are correlated among the views of a surfel."""
 REGION_SHARE = 0.7
 """Weight of the mean R of a smooth region's dielectric segments in a segment of full confidence. Segments
 differ in colour, but rarely in R."""
@@ -54,29 +54,29 @@ GLOSSY_TEMPERATURE = 0.04
 """Difference of costs, relative to the residual, that reduces the likelihood of S and R by a factor e in a
 segment of :data:`REFERENCE_OBSERVATIONS`."""
 MATTE_TEMPERATURE, MATTE_ALLOWANCE = (0.06, 0.018), 0.01
-"""Like :data:`GLOSSY_TEMPERATURE`, in an inexact and an exact capture (:data:`EXACT_RESIDUAL`), between matte
-(S = 0, R = 1) and the best glossy hypothesis; and the excess cost, relative to the residual, at which matte
-is as likely as glossy, since glossy hypotheses fit noise slightly better."""
+"""Like :data:`GLOSSY_TEMPERATURE`, but for matte (S = 0, R = 1) against the best glossy hypothesis, in an
+inexact and an exact capture (:data:`EXACT_RESIDUAL`); and excess cost of matte, relative to the residual, at
+which it is as likely as glossy, since glossy hypotheses fit noise slightly better."""
 MATTE_ALBEDO, MATTE_DIELECTRIC = (0.02, 0.06), 0.75
 """Bounds on the network's S of matte segments in an inexact capture, where S = 0 and a rough dielectric look
 alike; and the probability of the dielectric."""
 REFERENCE_OBSERVATIONS, COOLING, MAX_TEMPERATURE_FACTOR = 3000.0, 0.75, 10.0
-"""In an exact capture, temperatures are multiplied by (observations of the segment / the first value) to the
-power of minus the second, at most by the third. With independent errors, the second would be 1."""
+"""In an exact capture, temperatures are multiplied by (observations of the segment / REFERENCE_OBSERVATIONS)
+to the power of -COOLING (-1 for independent errors), at most by MAX_TEMPERATURE_FACTOR."""
 EXACT_RESIDUAL = (0.008, 0.012)
-"""Range of the median residual of observations from an exact to an inexact capture. Errors of cameras, mesh
+"""Median residuals up to which a capture counts as exact and from which as inexact. Errors of cameras, mesh
 and photographs are common to many observations and blur reflections, which then resemble matte surfaces."""
 METAL_SHARE = 0.25
 """Share of metal among a smooth region's surfels from which its other segments may become metal."""
 MIN_LOG_RATIO, MAX_LOG_RATIO = 0.35, 2.0
-"""Minimum, for a region of metal, of the mean of ln (residual as dielectric / residual as metal) times the
-square root of the mean evidence; and bound on each segment's logarithm, so that few do not dominate."""
+"""Minimum, for a region of metal, of the mean ln (residual as dielectric / residual as metal) of its segments
+times the square root of their mean evidence; and bound on each logarithm, so that few do not dominate."""
 MAX_BRIGHTNESS = 1.1
 """Maximum typical radiance, relative to white in the same light, of a segment that is evidence of metal in an
 inexact capture. Metal that reflects a lamp may be brighter."""
 MIRROR_ROUGHNESS, MIRROR_RESIDUAL, MIRROR_FIT = 0.25, 0.06, 0.8
-"""Maximum roughness of a mirror, minimum residual as dielectric, and maximum ratio of the residual as metal
-to it. Reflections that move with the view have no other cause, so mirrors need no photographed hemisphere."""
+"""Maximum roughness of a mirror, minimum residual as dielectric, and maximum ratio of residuals as metal and
+as dielectric. Reflections that move with the view suffice as evidence, without a photographed hemisphere."""
 MIRROR_VIEWS, MIRROR_SURFELS = 1.2, 48
 """Minimum mean number of views of a mirror's surfels, and minimum number of surfels."""
 MATTE_METAL = 0.7
@@ -93,8 +93,8 @@ class PriorWeights:
     """Weights of the priors, which are divided by a segment's evidence.
 
     ``specular_albedo`` and ``roughness``: weights of the squared differences of sqrt(S) and of R from the
-    network's, ``roughness`` in an inexact and an exact capture; ``metal``: margin by which the cost of metal
-    must be below that of a dielectric.
+    network's, ``roughness`` for an inexact and an exact capture (:data:`EXACT_RESIDUAL`); ``metal``: margin
+    by which the cost of metal must be below that of a dielectric.
     """
 
     specular_albedo: float = 0.02
@@ -130,7 +130,7 @@ class SolvedSegments:
 
     @property
     def is_mirror(self) -> NDArray[np.bool_]:
-        """Mask (G,) of metals so smooth that the images they reflect determine them alone."""
+        """Mask (G,) of metals so smooth that the reflected images alone determine their material."""
         return self.is_metal & (self.roughness <= MIRROR_ROUGHNESS)
 
 
@@ -168,14 +168,15 @@ def decide(
     ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the network's; ``evidence`` (G,) in [0, 1], at least
     :data:`MIN_EVIDENCE`, divides the weights of priors; ``views`` (G,): mean number of views of a surfel;
     ``region`` (G,): smooth region; ``size`` (G,): number of surfels; ``brightness`` (G,): typical radiance
-    relative to white in the same light. A dielectric is the mean of the matte (R = 1; S = 0 or, in an inexact
-    capture, from the network's) and glossy hypotheses, weighted by likelihood.
+    relative to white in the same light. A dielectric is the mean of the matte hypothesis (R = 1; S = 0 or, in
+    an inexact capture, as in :data:`MATTE_ALBEDO`) and the glossy ones, weighted by likelihood.
 
-    Mirrors need no evidence. A segment whose cost is at most :data:`METAL_TOLERANCE` higher as metal becomes
-    metal if :data:`METAL_SHARE` of its region is metal or the region as a whole fits better as metal
+    A segment is metal if its cost as metal is lower by a margin (:class:`PriorWeights`), or by any amount for
+    mirrors. A segment whose cost is at most :data:`METAL_TOLERANCE` higher as metal becomes metal too if
+    :data:`METAL_SHARE` of its region is metal or the region as a whole fits better as metal
     (:data:`MIN_LOG_RATIO`). Regions of fewer than :data:`MIN_METAL_SURFELS` surfels are not metal. In inexact
-    captures, segments above :data:`MAX_BRIGHTNESS` are ignored: sunlit patches, which clip and whose light is
-    underestimated, resemble metal.
+    captures, segments above :data:`MAX_BRIGHTNESS` are no evidence of metal, since sunlit patches, which clip
+    and whose light is underestimated, resemble metal.
     """
     inverse_evidence = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
     root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))

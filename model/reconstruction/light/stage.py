@@ -165,7 +165,7 @@ def materials_from_light(
 def _specular_parts(
     lit: Lit, segments: SolvedSegments, segment: NDArray, num_rays: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Compute S (N, 3) of surfels, and the specular part (M, 3) of every observation by ``num_rays`` rays."""
+    """Compute S (N, 3) of surfels, and the specular part (M, 3) of observations, ``num_rays`` rays each."""
     surfels = lit.surfels
     owner = surfels.surfel_of_observation()
     roughness = segments.roughness[segment]
@@ -238,7 +238,7 @@ def surfel_albedo(
     surfels: Surfels, diffuse: NDArray, specular: NDArray, specular_albedo: NDArray, is_metal: NDArray
 ) -> NDArray[np.float32]:
     """Compute D (N, 3) of surfels, 0 for metals: the weighted median over observations of (radiance -
-    ``specular``) / ((1 - S) ``diffuse``); ``specular`` is (M, 3), S and the shading ``diffuse`` (N, 3).
+    ``specular``) / ((1 - S) ``diffuse``); ``specular`` is (M, 3), ``specular_albedo`` and ``diffuse`` (N, 3).
     """
     observations = surfels.observations
     owner = surfels.surfel_of_observation()

@@ -7,9 +7,9 @@ and diffuse shading Ld,
     D = (L - specular part) / ((1 - S) Ld),
 
 clipped to [0, MAX_ALBEDO] or, in uncertain light, to the albedo of the room's white paint, with the specular
-part of the same view. S and R are those of nearby surfels of similar reflectance, blended with the network's
+part in the same view. S and R are those of nearby surfels of similar reflectance, blended with the network's
 by confidence. S of rough metals is that of the nearby surfels times L / (their radiance in the view), which
-adds the detail of the photograph. A network's D above the maximum that the recorded light permits is reduced.
+adds the detail of the photograph. The network's D is limited to the maximum that the recorded light permits.
 
 Errors of cameras and mesh move the edges of sunlight by centimetres, which turns them into stripes of wrong
 albedo, and clipped pixels contain no texture: materials there are replaced by those around them.
@@ -64,8 +64,8 @@ MAX_EXCESS = 1.5
 margin allows for errors of shading."""
 _DARK = 1e-12  # avoids 0 / 0 in the reflectance of a room without light
 EDGE_NEIGHBOURS, EDGE_RANGE = 25, 0.1
-"""Number of neighbours of a surfel, and minimum range of the share of the sun visible from them at an edge of
-sunlight."""
+"""Number of neighbours of a surfel, and range of the visible share of the sun's disk among them above which
+the surfel is at an edge of sunlight."""
 NUM_AVERAGED, MAX_DISTANCE_CELLS = 16, 20
 """Number of surrounding surfels that are averaged, and maximum distance to the nearest in cells."""
 NORMAL_SCALE_CELLS = 16
@@ -83,7 +83,7 @@ def textured_specular_albedo(
     observations, for all others S of the segment.
 
     ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,) are those of the surfels' segments;
-    ``shading`` is that of all M observations, extrapolated from known to all light.
+    ``shading`` has the terms of all M observations, extrapolated from known to all light.
     """
     observations = surfels.observations
     owner = surfels.surfel_of_observation()
@@ -99,7 +99,7 @@ def textured_specular_albedo(
 
 
 class White(NamedTuple):
-    """Diffuse ``albedo`` of white paint, and the weight ``known`` in [0, 1] of the surfels that show it."""
+    """``albedo`` of white paint: a mean of surfels, of weight ``known`` in [0, 1], and the typical white."""
 
     albedo: float = TYPICAL_WHITE
     known: float = 0.0
@@ -284,7 +284,7 @@ def without_sunlit_edges(
 ) -> list[dict[str, NDArray]]:
     """Replace D, S and R at edges of sunlight by those around them in the same smooth ``region`` (N,).
 
-    ``is_clipped`` (N,): mask of surfels whose radiance is a lower bound, replaced if sunlit.
+    ``is_clipped`` (N,): mask of surfels whose radiance is a lower bound; they are replaced too if sunlit.
     """
     surfels = lit.surfels
     is_replaced = _at_edge(lit) | (is_clipped & (lit.sunlight.max(axis=1) > 0))
