@@ -27,7 +27,7 @@ from model.reconstruction.radiometry.sources import Sources, find_sources, sourc
 from model.reconstruction.stages import DoubtAt, Run
 
 SOURCE_ROUNDS = 3
-"""Number of estimates of the sources, each of which illuminates unphotographed surfaces for the next."""
+"""Number of estimates of the sources; each illuminates unphotographed surfaces for the next estimate."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def completed_views(
 
 
 def clipped_share(views: Sequence[TracedView]) -> float:
-    """Compute the share of the pixels of all photographs in which a channel is clipped."""
+    """Compute the share of the pixels of all photographs that are clipped in any channel."""
     masks = [view.clipped_mask for view in views if view.clipped_mask is not None]
     num_pixels = max(sum(view.valid_mask.size for view in views), 1)
     return sum(int(mask.any(axis=2).sum()) for mask in masks) / num_pixels
@@ -115,9 +115,9 @@ def _filled(
 
 def completed(traced: TracedCapture, run: Run) -> tuple[TracedCapture, DoubtAt | None]:
     """Scale the capture's views to one exposure and estimate clipped pixels; also return the uncertainty of
-    the light.
+    the light (:data:`~model.reconstruction.stages.DoubtAt`), None without sources.
 
-    The views are unchanged if an image has no clipping limit, as in renderings.
+    The views are unchanged without clipping limits, as in renderings, or if they show no extended surface.
     """
     if any(view.limit is None for view in traced.views):
         return traced, None

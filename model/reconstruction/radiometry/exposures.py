@@ -26,12 +26,12 @@ from datagen.geometry.views import TracedView
 from datagen.light.surfels import Surfels
 
 MAX_SURFELS, MIN_VIEWS, MIN_SAMPLES = 8_000, 2, 10
-"""Maximum number of surfels, minimum number of views per surfel, and minimum mean of samples per view."""
+"""Maximum number of surfels, minimum number of views of each, and minimum mean number of samples per view."""
 DARK, BRIGHT = 0.004, 0.9
 """Range of usable values relative to the clipping limit, which excludes noise and clipping."""
 MIN_GAIN, MIN_VIGNETTING = 0.03, 0.05
-"""Root mean square of ln gains, and absolute ln of the factor in the image corners, below which they are
-ignored, since highlights alone can cause such values."""
+"""Root mean square of ln gains, and absolute ln of the factor in the image corners, below which gains and
+vignetting are ignored, since highlights alone can cause such values."""
 MIN_EXPLAINED = 0.02
 """Minimum relative reduction of the cost for which a response curve is accepted."""
 MIN_SPREAD = 0.1
@@ -73,8 +73,8 @@ class Radiometry:
 
 
 def apply_response(value: NDArray, curve: float) -> NDArray[np.float64]:
-    """Apply the response, which deviates from sRGB by ``curve``, to a linear ``value``, and decode it as
-    sRGB; both values are relative to the clipping limit.
+    """Encode a linear ``value`` with the response, which deviates from sRGB by ``curve``, and decode the
+    result as sRGB; ``value`` and result are relative to the clipping limit.
     """
     encoded = np.asarray(srgb_from_linear(np.clip(value, 1e-6, 1)), np.float64)
     return np.asarray(linear_from_srgb(encoded - curve * np.sin(2 * np.pi * encoded)), np.float64)
@@ -122,7 +122,7 @@ def find_radiometry(views: Sequence[TracedView], surfels: Surfels) -> Radiometry
 
 
 def _channels(views: Sequence[TracedView], surfels: Surfels) -> tuple[list[_Channel], int]:
-    """Choose usable observations by channel, none if too few; also return the number of candidates."""
+    """Choose usable observations of each channel ([] if too few); also return the number of candidates."""
     observations = surfels.observations
     common = float(np.quantile(surfels.radiance, 0.99))
     limit = np.array([common if view.limit is None else view.limit for view in views])
@@ -221,7 +221,9 @@ class _Channel:
         return cls(surfel, view[rows], r2[rows], recorded, limit, _group_medians(recorded + limit, surfel))
 
     def predicted(self, state: NDArray, first: int, last: int) -> tuple[NDArray[np.float64], ...]:
-        """Predict the ln value of the samples and its derivatives (:func:`_log_shown`) at ``state``."""
+        """Predict the ln values of the samples and their derivatives (:func:`_log_shown`) at ``state``, in
+        which ``first`` is the index of the channel's first gain and ``last`` that of the vignetting.
+        """
         fall_off = state[last] * self.r2
         arriving = self.radiance[self.surfel] + state[first + self.view] - fall_off - self.limit
         return _log_shown(arriving, state[last + 1])
@@ -253,8 +255,8 @@ class _Channel:
 
 
 def _log_shown(arriving: NDArray, curve: float) -> tuple[NDArray[np.float64], ...]:
-    """Compute the ln value for the ln radiance ``arriving`` (M,), both relative to the limit, and its
-    derivatives with respect to ``arriving`` and ``curve``, (M,) each.
+    """Compute the ln recorded value for the ln radiance ``arriving`` (M,), both relative to the limit, and
+    its derivatives with respect to ``arriving`` and ``curve``, (M,) each.
     """
     if not curve:
         here, slope = arriving, np.ones_like(arriving)

@@ -46,8 +46,8 @@ MIN_VIEWS, MIN_PHOTOGRAPHED = 2, 0.5
 MAX_FACTOR = 3000.0
 """Maximum ratio of a source's radiance to its photographed radiance."""
 MAX_SUNLIT_FACTOR = 30.0
-"""Ratio that a patch of surface rarely exceeds, even in sunlight. A higher estimate is rather due to a lamp
-that no photograph shows, so the patch keeps its photographed radiance."""
+"""Maximum of this ratio for a patch of surface, which rarely exceeds it even in sunlight. A higher estimate
+is rather due to a lamp that no photograph shows, so the patch keeps its photographed radiance."""
 TYPICAL_SPECULAR = 0.04
 """Specular albedo of most dielectrics; its ratio to the diffuse albedo is the relative error of a purely
 diffuse model."""
@@ -184,7 +184,7 @@ def doubt_of(
     field: SourceField, sources: Sources, found: Recovered
 ) -> Callable[[NDArray, NDArray], NDArray[np.float32]]:
     """Make a function from positions and normals (N, 3) to the uncertainty (N,) of the luminance of diffuse
-    shading: the sum over sources of a source's luminance times the standard deviation of its ln radiance,
+    shading: the sum over sources of the shading by a source times the standard deviation of its ln radiance,
     clamped to 1.
     """
     baker = field.baker(field.alone(sources, found.radiance * np.minimum(found.spread, 1)[:, None]))
@@ -247,7 +247,7 @@ def _fitted(
 def _derivatives(
     gathered: Gathered, sources: Sources, bound: NDArray, factor: NDArray, prior: Prior
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-    """Compute the cost with fitted albedos, and its gradient (3 S,) and Hessian (3 S, 3 S) by ``factor``."""
+    """Compute the cost at the best albedos, and its gradient (3 S,) and Hessian (3 S, 3 S) in ``factor``."""
     num, points, count = len(factor), max(len(gathered.group), 1), len(prior.albedo)
     is_open = sources.is_open
     brighter, brighter_spread = prior.brighter[:, None], np.reshape(prior.brighter_spread, (-1, 1))

@@ -24,20 +24,20 @@ from datagen.light.emitters import Emitters, photographed_emitters
 from datagen.light.surfels import Surfels, clipped_shares
 
 CLIPPED_SHARE = 0.5
-"""Clipped share of the pixels of an emitter or background bin from which a channel is unknown."""
+"""Minimum share of clipped pixels of an emitter or background bin at which a channel is unknown."""
 MIN_SURFEL_SHARE = 0.9
-"""Clipped share of a surfel's pixels from which it counts as clipped in all views."""
+"""Minimum share of clipped pixels of a surfel that counts as clipped in all views."""
 MIN_CELLS = 4
 """Minimum number of surfels in a patch."""
 MIN_PIXELS, MAX_OPENINGS = 0.03, 6
-"""Minimum share of the clipped background pixels in an opening, and maximum number of openings; others are
+"""Minimum share of all clipped background pixels in an opening, and maximum number of openings; others are
 merged with the largest."""
 BLOCK_OF_HEIGHT, AZIMUTHS_PER_BLOCK = (0, 0, 0, 0, 0, 0, 1, 2, 2, 3, 3, 3), 3
 """Block of each row of directions in an opening, from nadir to zenith, and columns of azimuth per block; all
 directions below the horizon are one block. Near the sun, a clear sky is ten times as bright as elsewhere."""
 SKY_REACH = 1.0
-"""Maximum distance, in radians, up to which an empty bin counts as clipped like the nearest photographed one.
-A larger one would add blocks of sky that photographs do not distinguish, hence larger errors."""
+"""Distance, in radians, up to which an empty bin counts as clipped if the nearest photographed one is. A
+larger distance would add blocks of sky that photographs do not distinguish, hence larger errors."""
 MAX_SOURCES = 24
 """Maximum number of emitters and of patches; further ones are merged into the last."""
 
@@ -146,7 +146,7 @@ def _labelled_emitters(share: NDArray) -> tuple[NDArray[np.int64], NDArray]:
 
 
 def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDArray[np.int64]:
-    """Count the clipped pixels (B,) in each bin of the background."""
+    """Count the clipped pixels (B,), where colours in ``marked`` exceed 0, in each bin of the background."""
     total = np.zeros(NEAR.num_bins, np.int64)
     for view in marked:
         clipped = (view.geometry.face < 0) & view.valid_mask & (view.color.max(axis=2) > 0)
