@@ -80,7 +80,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
 
 
 def _names(path: Path) -> list[str]:
-    """Read the image names from the list next to the file; its lines may end in 0 and a focal length."""
+    """Read the image names from the list next to the bundle file; lines may end in 0 and a focal length."""
     for name in (f"{path.stem}.list.txt", *_LISTS):
         if (path.parent / name).is_file():
             lines = filter(str.strip, read_text(path.parent / name).splitlines())

@@ -22,7 +22,7 @@ from model.reconstruction.captures.options import Axis
 AXES: tuple[Axis, ...] = get_args(Axis)
 _MAX_TILT_RAD = np.radians(30.0)
 _MIN_AGREEMENT = 0.3  # minimum length of the mean up vector, near 0 for cameras that look down
-_MIN_UPRIGHT = 0.05  # minimum component of the mean up vector along the estimated axis, to know its sign
+_MIN_UPRIGHT = 0.05  # minimum component of the mean up vector along the estimated axis; sets the axis's sign
 _MIN_TURN = np.sin(np.radians(10.0)) ** 2  # variance of directions at 10 degrees from their mean
 _LARGEST_ROOM, _USUAL_ROOM_M = 100.0, 8.0
 _SMALLEST_ROOM = 1.0

@@ -91,7 +91,7 @@ def _decoded(path: Path, suffix: str, budget: Budget) -> Mesh:
 
 
 def _without_repeated(mesh: Mesh) -> tuple[Mesh, int]:
-    """Remove triangles whose corners coincide with another's, in any order; return the mesh and their number.
+    """Remove triangles that repeat the corners of another, in any order; return the mesh and their number.
 
     Only one of several coincident triangles would receive texels.
     """
@@ -107,7 +107,7 @@ def _without_repeated(mesh: Mesh) -> tuple[Mesh, int]:
 
 
 def _read_gltf(path: Path, budget: Budget) -> Mesh:
-    """Read the triangles of all nodes in the scene's frame as one mesh, with v of UVs upwards."""
+    """Read the triangles of all nodes in the scene's frame as one mesh, with UVs whose v points up."""
     meshes: list[Mesh] = []
     with GltfFile(path, budget) as file:
         nodes = list(file.placed_nodes())

@@ -3,10 +3,10 @@
 
 A camera's ``transform`` is chunk_from_camera, with x right, y down and z forward. The transform (rotation,
 translation, scale) of the chunk, or of the camera's component if it has one, maps to the coordinates in which
-"Export Model" writes meshes, if these are local. Sensors have f, cx and cy in pixels, the principal point
-being relative to the image centre; b1 is added to f for u, and b2 is skew. Frame cameras have k1 ... k4 of
-r^2 ... r^8; p1 multiplies (r^2 + 2 x^2), so it is OpenCV's p2 (manual, appendix "Camera models"). Equidistant
-fisheyes equal OpenCV's fisheye if p1 = p2 = 0.
+"Export Model" writes meshes, provided that the chunk's reference is local. Sensors have f, cx and cy in
+pixels, with the principal point relative to the image centre; b1 is added to f for u, and b2 is skew. Frame
+cameras have k1 ... k4 of r^2 ... r^8; p1 multiplies (r^2 + 2 x^2), so it is OpenCV's p2 (manual, appendix
+"Camera models"). Equidistant fisheyes equal OpenCV's fisheye if p1 = p2 = 0.
 """
 
 from __future__ import annotations

@@ -140,7 +140,7 @@ class ImageFinder:
 
 
 class Reading:
-    """Collects the images of a calibration ``where``, and all of its faults."""
+    """Collects the images and all faults of the calibration file or folder ``where``."""
 
     def __init__(self, where: Path):
         self.where = where
@@ -151,7 +151,7 @@ class Reading:
 
     @contextmanager
     def part(self) -> Iterator[None]:
-        """Context in which a part is read; its faults are collected."""
+        """Context manager for reading one part; its faults are collected instead of raised."""
         try:
             yield
         except ImageMissing as error:
@@ -160,7 +160,7 @@ class Reading:
             self.problems += error.problems
 
     def calibration(self, folder: Path, nothing: Problem, unposed: str = "") -> Calibration:
-        """Return the images, with a note of the number of images without a pose followed by ``unposed``.
+        """Return the images and, if images lack a pose, a note: their number followed by ``unposed``.
 
         Raises :class:`InputError` with all faults, or with ``nothing`` if there are no images either.
         """

@@ -20,7 +20,7 @@ from datagen.foundation.images import check_size
 LIMIT_SHARE = 0.99
 """Clipping level, from black level (0) to white level (1); sensors saturate slightly below 1."""
 _REACH_PX = 5
-"""Side of the square of sensor values from which a pixel is interpolated."""
+"""Width of the square of sensor values from which a pixel is interpolated."""
 _TURNS = {3: 2, 5: 1, 6: -1}  # counter-clockwise quarter turns for each flip code of libraw
 
 

@@ -5,10 +5,10 @@ In both formats, the focal length is in mm for film whose longer side is 36 mm, 
 offset from the centre in units of the longer side. Distortion is k1 ... k4 of r^2 ... r^8, and t1, t2, which
 are OpenCV's p2, p1 (t1 multiplies r^2 + 2 x^2). The files contain no image sizes, so the images are required.
 
-In the CSV, x, y, alt is the centre, and world_from_camera = Rz(-heading) Rx(pitch) Ry(roll) in degrees, for a
-camera that looks along -z with y up: at zero angles it looks straight down, with north (+y) at the top. In
-XMP, ``Rotation`` is camera_from_world by rows, for a camera with y down and z forward, and ``Position`` is
-the centre ("RealityCapture XMP camera math").
+In the CSV, (x, y, alt) is the camera's centre, and world_from_camera = Rz(-heading) Rx(pitch) Ry(roll) in
+degrees, for a camera that looks along -z with y up: at zero angles it looks straight down, with north (+y) at
+the top. In XMP, ``Rotation`` is camera_from_world by rows, for a camera with y down and z forward, and
+``Position`` is the centre ("RealityCapture XMP camera math").
 """
 
 from __future__ import annotations

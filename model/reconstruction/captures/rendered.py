@@ -52,7 +52,7 @@ class ShardSource:
 
 
 def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:
-    """Open the library of a shard: ``paths`` and the rooms of its dataset.
+    """Open the library of a shard: the folders ``paths`` and the rooms of the shard's dataset.
 
     Without paths, it is the library recorded in the dataset or, if there is no record, the bundled one.
     """

@@ -45,8 +45,8 @@ def find(path: Path) -> Path | None:
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """Read the calibration of every frame with the absolute path of its image, which is next to the file or
-    in ``images``. Raises :class:`InputError` with all faults.
+    """Read the calibration of every frame, with the absolute path of its image. Images are searched in the
+    file's folder and in ``images``. Raises :class:`InputError` with all faults.
     """
     folder = images or path.parent
     finders = [ImageFinder(f) for f in dict.fromkeys((path.parent, folder))]
