@@ -34,7 +34,7 @@ MAX_POINT_ERROR_PX = 2.0
 _OVERLAP = "take more sharp, overlapping photographs from different positions; see the log"
 _TAIL = 400  # characters of the log in an error
 _RENAMED = {"--SiftExtraction.": "--FeatureExtraction.", "--SiftMatching.": "--FeatureMatching."}
-"""Prefixes of options up to COLMAP 3.12, and the ones that replace them for most options since 3.13."""
+"""Prefixes of options up to COLMAP 3.12, and their replacements, in most options, since 3.13."""
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ class ColmapRun:
 
 
 def _as_installed(command: tuple[str, ...]) -> list[str]:
-    """Return ``command`` with the option names of COLMAP 3.13 that the installed version lists."""
+    """Return ``command``, with the options renamed that the installed COLMAP lists by their new name."""
     if not any(word.startswith(tuple(_RENAMED)) for word in command):
         return list(command)
     shown = subprocess.run([*command[:2], "-h"], capture_output=True, check=False)

@@ -44,7 +44,7 @@ TURNTABLE = "turntable.gif"
 
 @dataclass(frozen=True)
 class PhotosResult:
-    """Report of the inference, None if the asset existed before, and path of the turntable."""
+    """``report`` of the inference, None if the asset existed before, and path of the ``turntable``."""
 
     report: InferReport | None
     turntable: Path
@@ -53,7 +53,7 @@ class PhotosResult:
 def photographs_in(folder: Path) -> list[Path]:
     """List the photographs in a folder, sorted by name.
 
-    Raises :class:`InputError` for fewer than three, and for raw photographs, HEIC and unsupported formats.
+    Raises :class:`InputError` for fewer than three, and for raw, HEIC and other unsupported formats.
     """
     if not folder.is_dir():
         raise input_error(folder, "", "no such folder", "a folder of photographs", "check the path")
@@ -145,7 +145,7 @@ def _of_mesh(mesh: Mesh) -> list[str]:
 
 
 def _claim(out: Path, folder: Path, photographs: list[Path], settings: list[str]) -> None:
-    """Assign ``out`` to ``photographs``; if ``settings`` were others before, remove the report and turntable.
+    """Assign ``out`` to ``photographs``; if ``settings`` have changed, remove the report and the turntable.
 
     Raises :class:`InputError` if ``out`` is assigned to other photographs.
     """

@@ -19,9 +19,9 @@ from datagen.multiview.compiled import compiled
 from model.reconstruction.captures.colmap import Sights
 
 SMOOTHNESS = 0.3
-"""Cost of each triangle of the surface, as a number of lines of sight that cross it."""
+"""Cost of each triangle of the surface, in units of the cost of a line of sight that crosses it."""
 SPREAD_QUANTILE = 0.25
-"""Quantile of edge lengths that is used as the standard deviation of the points."""
+"""Quantile of edge lengths that is used as the standard deviation of point positions."""
 _UNITS = 256  # integer capacity per unit of cost
 _OUTSIDE = 1.0  # margin of the tetrahedra around the points' box, relative to its longest side
 _FACETS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # the facet opposite each corner
@@ -69,8 +69,8 @@ def _cross(
     spread: Any,
     crossed: Any,
 ) -> None:
-    """Add the number of lines of sight through each facet of T tetrahedra to ``crossed`` (T, 4), with less
-    weight near their points, whose positions are inexact.
+    """Add the number of lines of sight through each facet of T tetrahedra to ``crossed`` (T, 4); crossings
+    near the end of a line count less, since the position of its point is inexact.
     """
     for ray in range(len(origin)):
         tetrahedron = start[ray]
@@ -113,7 +113,7 @@ def _free(neighbors: NDArray, crossed: NDArray, start: NDArray, behind: NDArray)
     ends = np.flatnonzero(solid)
     rows = np.concatenate([tetrahedron, np.full(len(cameras), source), ends])
     columns = np.concatenate([neighbors[tetrahedron, facet], cameras, np.full(len(ends), sink)])
-    most = np.iinfo(np.int32).max // (2 * max(len(cameras), 1))  # above the capacity of all lines of sight
+    most = np.iinfo(np.int32).max // (2 * max(len(cameras), 1))  # above the total cost of all lines of sight
     values = np.concatenate([_UNITS * cost, np.full(len(cameras), most), _UNITS * solid[ends]])
     graph = coo_matrix((np.round(values).astype(np.int32), (rows, columns)), (num + 2, num + 2)).tocsr()
     rest = graph - maximum_flow(graph, source, sink).flow
