@@ -62,10 +62,10 @@ class LevelReport:
     ``gain``: the room's gain of D by channel; ``coverage``: mean photographed share of the points'
     hemispheres; ``used_share``: mean weight of the points, in [0, 1]; ``spread``: half the interquartile
     range of ln(rho / (D + S)) of points about their region's mode, in green; ``region_spread``: half the
-    interquartile range of the regions' ln gains, weighted by points; ``impossible_share``: weighted share of
-    points that reflect more than their incident light; ``trust``: power in [0, 1] to which gains above 1 are
-    raised; ``clipped_share``: share of clipped pixels in the photographs; ``reason``: why D is not corrected,
-    or not increased, or empty.
+    interquartile range of the regions' ln gains in green, weighted by points; ``impossible_share``: weighted
+    share of points that reflect more than their incident light; ``trust``: power in [0, 1] to which gains
+    above 1 are raised; ``clipped_share``: share of clipped pixels in the photographs; ``reason``: why D is
+    not corrected or not increased, else empty.
     """
 
     is_applied: bool
@@ -222,7 +222,7 @@ def _modes(
 ) -> tuple[float, Floats]:
     """Compute the modes of ``values`` (N,) over the room and over each of its regions (num_regions,).
 
-    They maximise the likelihood under Student's t of points about their region and of regions about the room.
+    They maximise the Student's t likelihood of points about their region and of regions about the room.
     """
     num = np.bincount(region, weight, num_regions)
     room = float(weighted_quantiles(values, weight, (0.4,))[0])  # unphotographed light only increases values

@@ -49,7 +49,7 @@ class FoundLamp:
     """A lamp: emissive triangles with indices ``faces`` (K,) and centroid ``place_m``.
 
     ``side``: 1 if the triangles emit from their front (counter-clockwise winding), -1 if from their back.
-    ``radiance`` is 0 if unknown. ``is_named``: whether the capture's geometry declares them as a lamp.
+    ``radiance`` is 0 if unknown. ``is_named``: whether the capture's geometry declares this lamp.
     """
 
     slot: str
@@ -84,7 +84,7 @@ class FoundPatch:
 
 @dataclass(frozen=True)
 class FoundSun:
-    """The sun: unit ``direction`` to it, ``irradiance`` of a surface that faces it, and its diameter."""
+    """The sun: unit ``direction`` to it, ``irradiance`` of a surface that faces it, and angular diameter."""
 
     direction: Color
     irradiance: Color

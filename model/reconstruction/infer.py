@@ -72,7 +72,7 @@ class FinalViews:
 
     ``sides`` (M,): the side of each triangle that most pixels show, 1 for the front, -1 for the back.
     ``density``: pixels per metre of the surface in the views. ``can_be_seen`` (M,): mask of the triangles
-    visible in a view or from a surface visible in a view.
+    visible in a view or from a surface visible in a view. ``found``: results other than maps.
     """
 
     views: list[MapView]
@@ -92,8 +92,8 @@ def infer(
 ) -> InferReport:
     """Make an asset of ``capture`` in the folder ``out`` from the maps of ``source`` (``predict.sources``).
 
-    Raises :class:`InputError` if the input is invalid, no view shows the mesh, or ``out`` contains other
-    work.
+    Raises :class:`InputError` if the input is invalid, no view shows the mesh, or ``out`` contains the work
+    of another capture, source or options.
     """
     report = InferReport(capture.name, len(capture.views), len(capture.geometry.mesh.faces))
     run = Run(out, options or InferOptions(), report, progress or (lambda stage, done, total: None))
@@ -129,7 +129,7 @@ def map_stages(source: MapSource, options: InferOptions) -> list[MapStage]:
 
 
 def _claim(traced: TracedCapture, source: MapSource, run: Run) -> None:
-    """Assign ``run.out`` to this work. Raises :class:`InputError` if the folder contains other work."""
+    """Record the run's inputs in ``run.out``. Raises :class:`InputError` if others are recorded there."""
     mesh, options = traced.capture.geometry.mesh, run.options
     views = [
         [v.name, v.camera.width_px, v.camera.height_px, v.camera.fx_px, v.camera.fy_px, v.camera.cx_px,
@@ -154,7 +154,7 @@ def _claim(traced: TracedCapture, source: MapSource, run: Run) -> None:
         raise input_error(run.out, "state.json", "other work", expected, "choose another --out or remove it")
     (run.out / "views").mkdir(parents=True, exist_ok=True)
     write_bytes_atomically(path, state)
-    (run.out / "report.json").unlink(missing_ok=True)  # it may be of earlier options
+    (run.out / "report.json").unlink(missing_ok=True)  # it may be of a run with other options
 
 
 def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:
@@ -221,7 +221,7 @@ def _packed(final: FinalViews, run: Run) -> tuple[MapMerger, Mesh, TexelSurface]
 def _merged(capture: Capture, source: MapSource, run: Run, files: ExitStack) -> tuple[Atlas, Mesh, Found]:
     """Merge the maps in an atlas, in memory or in files that exist until ``files`` is closed.
 
-    Also return the unwrapped mesh, and the results of earlier stages in addition to maps.
+    Also return the unwrapped mesh, and the results of earlier stages other than maps.
     """
     final = _final_views(capture, source, run)
     merger, mesh, surface = _packed(final, run)

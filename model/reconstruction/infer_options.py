@@ -32,7 +32,7 @@ def _atlas_side(text: str) -> int | Literal["auto"]:
 class AssetOptions:
     """Options of the asset.
 
-    ``atlas`` is the side in texels; "auto" gives texels about as fine on the surface as the views' pixels.
+    ``atlas``: texels per side; "auto" gives texels about as fine on the surface as the views' pixels.
     ``is_checked``: whether the mesh is compared with the photographs first. ``has_usd``: whether a USDZ is
     also written.
     """
@@ -114,12 +114,12 @@ class InferReport:
     """Report of a run.
 
     ``atlas_size`` is in texels per side; ``seen_share`` and ``seen_of_visible``: observed share of the texels
-    on the surface, and of those on visible triangles; ``exposure``: factor applied to the networks'
-    input; ``seconds``: time by stage; ``memory_mb``: peak resident memory up to the end of each stage. Empty
-    if their stage did not run: ``mesh``, its noise and holes; ``radiometry``, the findings of
-    :mod:`~model.reconstruction.radiometry`; ``poses``, the corrections of poses; ``albedo_level``, a
-    :class:`~model.reconstruction.albedo_level.LevelReport` as a dictionary; ``light``, a
-    :class:`~model.reconstruction.light.options.LightReport` with the recovered lights, as a dictionary.
+    on the surface, and of those on visible triangles; ``exposure``: factor applied to the networks' input;
+    ``gltf_error``: error of the GLB's textures; ``seconds``: time by stage; ``memory_mb``: peak resident
+    memory up to the end of each stage. Empty if their stage did not run: ``mesh``, its noise and holes;
+    ``radiometry``, the findings of :mod:`~model.reconstruction.radiometry`; ``poses``, the corrections of
+    poses; ``albedo_level``, a :class:`~model.reconstruction.albedo_level.LevelReport`, and ``light``, a
+    :class:`~model.reconstruction.light.options.LightReport` with the recovered lights, as dictionaries.
     """
 
     name: str = ""

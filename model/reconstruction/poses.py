@@ -62,7 +62,7 @@ class MendedPoses:
 @dataclass(frozen=True)
 class _ViewImage:
     """Log luminance (H, W) of a view, its derivatives by x and y per pixel, depth in metres (H, W), and
-    points (N, 3) on its surfaces.
+    the points (N, 3) on its surfaces that are compared with other views.
     """
 
     image: NDArray[np.float32]
@@ -134,7 +134,7 @@ def _view_image(view: TracedView, number: int) -> _ViewImage:
 
 
 def _projected(lens: Camera, pose: NDArray, points: NDArray) -> tuple[NDArray[np.float64], ...]:
-    """Project points (N, 3) to camera coordinates (N, 3) and pixels x and y (N,), integers at centres."""
+    """Project points (N, 3) to camera space (N, 3) and to pixels x and y (N,), with centres at integers."""
     local = points @ pose[:3, :3].T + pose[:3, 3]
     z = np.maximum(local[:, 2], 1e-6)
     x = lens.fx_px * local[:, 0] / z + lens.cx_px - 0.5

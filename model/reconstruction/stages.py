@@ -41,7 +41,8 @@ class Found:
     """Results of the stages in addition to maps, None or empty if no stage provides them.
 
     ``samples``: photographed radiance to which the gains of ``lights`` are fitted; ``confidence_at``:
-    function from surface points and normals (..., 3) to the confidence (..., 3) of D, S and R, 255 for 1.
+    function from surface points and normals (..., 3) to the confidence (..., 3) of D, S and R, 255 for 1;
+    ``pictures``: views for the report.
     """
 
     lights: FoundLights | None = None
