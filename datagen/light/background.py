@@ -170,7 +170,7 @@ def box_squares(
 
 @dataclass(frozen=True)
 class OutsidePixels:
-    """N background pixels: ray ``origin``, ray ``direction`` and ``color``, (N, 3) each, and ``view`` (N,)."""
+    """N background pixels: ray ``origin`` and ``direction``, ``color``, (N, 3) each, and ``view`` (N,)."""
 
     origin: NDArray[np.float64]
     direction: NDArray[np.float64]

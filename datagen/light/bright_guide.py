@@ -25,7 +25,7 @@ from datagen.foundation.color import luminance
 from datagen.light.cells import Cells, cell_indices
 
 _ROWS, _NORMAL, _MIDDLE, _SQUARES, _POWER = 7, 3, 4, 5, 6  # vectors per rectangle, and indices of some
-_MIN_FACING = 0.05  # minimum cosine at a rectangle, also for points not in front of it
+_MIN_FACING = 0.05  # lower bound on the cosine at a rectangle, even for points behind it
 BRIGHT = 10.0
 """Minimum luminance of a bright cell, relative to the median of all cells."""
 MIN_VARIANCE, MAX_RECTANGLES = 1.0, 4

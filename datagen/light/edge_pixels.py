@@ -10,10 +10,10 @@ that of nearby pixels without a surface. The result is
 
 whose standard error is SHARE_ERROR B / a_p, with B = b_p / (1 - a_p) the radiance behind the surface; for a
 dark slat against a bright sky, it is many times x_p. Therefore x_p is shrunk towards the median of its
-surfel, and this median towards that of a block of the same smooth region, with weights from its variance and
-the variance of texture. Since an inaccurate mesh predicts its edges badly, 1 - a_p and b_p are multiplied by
-a slope (:func:`edge_slope`), computed from the median of (L - X) / (a_p X + b_p - X) over edge pixels of
-surfels whose radiance X is known from pixels without edges.
+surfel, and this median towards the median of a block of the same smooth region, with weights from its own
+variance and the variance of texture. Since an inaccurate mesh predicts its edges badly, 1 - a_p and b_p are
+multiplied by a slope (:func:`edge_slope`), computed from the median of (L - X) / (a_p X + b_p - X) over edge
+pixels of surfels whose radiance X is known from pixels without edges.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ class Emitters:
         return ~self.radiance.any(axis=1)
 
     def with_radiance(self, radiance: NDArray) -> Emitters:
-        """Return the emitters with another ``radiance`` (K, 3) and the corresponding power."""
+        """Return the emitters with the given ``radiance`` (K, 3) and the corresponding power."""
         cross = np.cross(self.vertices[:, 1] - self.vertices[:, 0], self.vertices[:, 2] - self.vertices[:, 0])
         area = 0.5 * np.linalg.norm(cross, axis=1)
         power = area * (radiance @ LUMINANCE_WEIGHTS)[self.of_face[self.triangles]]

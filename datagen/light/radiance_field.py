@@ -259,7 +259,7 @@ class RadianceField:
         return self._changed(cells=replace(self.cells, radiance=rows))
 
     def with_background(self, background: Background) -> RadianceField:
-        """Return a field with another ``background``."""
+        """Return the field with ``background`` instead of its own."""
         return self._changed(background=background)
 
     def with_metals(

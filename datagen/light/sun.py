@@ -165,7 +165,7 @@ def _log_ratio(surfaces: LitSurfaces) -> Floats:
 
 def _correlations(seen: NDArray[np.bool_], value: Floats, region: NDArray) -> Floats:
     """Compute the correlation (D,) within regions between ``value`` (N,) and the mask ``seen`` (D, N) of the
-    surfels from which a direction is visible; 0 if it is visible from none or all of each region.
+    surfels from which a direction is visible; 0 if no region has both surfels in sun and in shadow.
     """
     of_region = np.unique(region, return_inverse=True)[1]
     count = np.bincount(of_region).astype(np.float64)

@@ -77,8 +77,8 @@ class Surfels:
     """Surfels of a room.
 
     ``position_m`` (N, 3): point on the surface; ``normal`` (N, 3): unit, facing the cameras; ``face`` (N,):
-    triangle; ``radiance`` (N, 3): median over views; ``is_mixed`` (N,): whether most of its pixels are at
-    depth edges, where other surfaces contribute to the radiance; ``camera_m`` (V, 3): camera positions.
+    triangle; ``radiance`` (N, 3): median over views; ``is_mixed`` (N,): whether most pixels of the surfel are
+    at depth edges, where other surfaces contribute to the radiance; ``camera_m`` (V, 3): camera positions.
     Per view: ``pixel_surfel`` (P,), index of each pixel's surfel, -1 for none, and ``pixel_weight`` (P,).
     """
 

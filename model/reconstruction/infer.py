@@ -3,7 +3,7 @@
 exposures, estimate clipped pixels); predict maps, correct them by the recorded light and merge them in an
 atlas; fill in unobserved texels; balance the lights to the photographs; export.
 
-OUT/state.json      hash of checkpoint, views, geometry and options; a run resumes only if it is equal
+OUT/state.json      hash of checkpoint, views, geometry and options; a run resumes only with an equal hash
 OUT/views/          predicted maps, one EXR per view, which a resumed run reads
 OUT/atlas/          the merged maps as PNG and EXR, and mask.png (255 observed, 128 filled in, 0 no surface)
 OUT/asset/          the asset package; also exported as OUT/NAME.glb, OUT/mitsuba/scene.xml and OUT/NAME.usdz

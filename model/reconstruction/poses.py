@@ -2,9 +2,10 @@
 """Corrects small errors of camera poses by photometric alignment with other views.
 
 Points on the mesh in a view, away from depth edges and where the image varies, are projected into the views
-with the largest overlap. The view's pose is fitted to the median of their log luminance by Gauss-Newton
-steps with Cauchy weights and a normal prior (:data:`SPREAD_M`, :data:`SPREAD_DEG`). All poses are updated at
-once, in several rounds. The common translation of the cameras is undetermined: their mean position is kept.
+with the largest overlap. The view's pose is fitted so that its log luminance at the points equals the median
+over these views, by Gauss-Newton steps with Cauchy weights and a normal prior (:data:`SPREAD_M`,
+:data:`SPREAD_DEG`). All poses are updated at once, in several rounds. The common translation of the cameras
+is undetermined: their mean position is kept.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ def merged(images: Sequence[ColorImage], scales: Sequence[float]) -> ColorImage:
 def with_brackets(views: Sequence[CaptureView]) -> tuple[tuple[CaptureView, ...], tuple[str, ...]]:
     """Replace each bracket in ``views`` by one view, named after its first photograph; also return notes.
 
-    Photographs with one pose and equal exposures are not merged, since their exposures may be unrecorded.
+    Photographs with the same pose and equal exposures are not merged: their exposures may be unrecorded.
     """
     groups: list[list[CaptureView]] = []
     for view in views:

@@ -105,8 +105,8 @@ def relative_exposure(path: Path) -> float | None:
 def exposure_scales(images: Sequence[Path], exposure: Exposure) -> list[float]:
     """Compute the factor that compensates for the recorded exposure of each photograph, 1 at the median.
 
-    All factors are 1 if ``exposure`` is "common", or if it is "auto" and any photograph has no record. Raises
-    :class:`InputError` with all photographs without a record if ``exposure`` is "exif".
+    All factors are 1 if ``exposure`` is "common", or if it is "auto" and a photograph lacks the EXIF values.
+    Raises :class:`InputError` with all photographs that lack them if ``exposure`` is "exif".
     """
     recorded = [None if exposure == "common" else relative_exposure(image) for image in images]
     problems = [
@@ -270,7 +270,7 @@ def _radial(distortion: Distortion, r2: NDArray[np.float64]) -> NDArray[np.float
 
 
 def _is_beyond_fold(distortion: Distortion | None, r: NDArray) -> NDArray[np.bool_]:
-    """Compute the mask of radii ``r`` beyond the first maximum of the distorted radius, where images repeat."""
+    """Compute the mask of radii ``r`` beyond the maximum of the distorted radius, where the image repeats."""
     if distortion is None:
         return np.zeros(r.shape, dtype=bool)
     steps = np.linspace(0.0, max(float(r.max()), 1e-6), 512)

@@ -48,7 +48,7 @@ class PosedImage:
     distortion: Distortion | None
 
     def posed(self, file: str, world_from_camera: NDArray[np.float64]) -> PosedImage:
-        """Return the image ``file`` through the same lens from another pose."""
+        """Return the image ``file``, taken through the same lens from the pose ``world_from_camera``."""
         return PosedImage(file, replace(self.camera, world_from_camera=world_from_camera), self.distortion)
 
 

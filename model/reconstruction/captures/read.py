@@ -88,7 +88,7 @@ _UNUSED: dict[_Kind, tuple[str, ...]] = {
 
 
 def refuse_unused(path: Path, options: CaptureOptions) -> None:
-    """Raise :class:`InputError` for options other than the defaults that do not apply to ``path``."""
+    """Raise :class:`InputError` for options that are set, although they do not apply to ``path``."""
     kind = _kind_of(path) or "cameras with photographs"
     defaults = CaptureOptions()
     flags = {name: f"--{name.removesuffix('_m').replace('_', '-')}" for name in _UNUSED[kind]}

@@ -23,7 +23,7 @@ from datagen.rendering.capture_geometry import configuration_geometry, without_l
 
 @dataclass(frozen=True)
 class ShardSource:
-    """A view's EXR in a shard: the file ``member``, which starts at the byte ``offset``."""
+    """A view's EXR in a shard: the file ``member``, of ``num_bytes`` bytes from the byte ``offset``."""
 
     shard: Path
     member: str

@@ -19,8 +19,8 @@ IMPOSSIBLE = (0.1, 0.3)
 """Range of the local share of surfels that reflect more than their incident light, a sign of unphotographed
 sources, over which the confidence of D, S and R decreases to 0."""
 IMPOSSIBLE_ROOM = (0.12, 0.2)
-"""Range of the room's share of surfels that reflect more than their incident light; below it, local shares do
-not reduce confidence."""
+"""Range of the room's share of surfels that reflect more than their incident light, over which the effect of
+local shares (:data:`IMPOSSIBLE`) increases from none to full."""
 DARK_ROOM = (0.2, 0.4)
 """Range of the room's share of surfels that reflect more than their incident light, over which all confidence
 decreases to 0, since most light sources are not photographed."""

@@ -32,8 +32,8 @@ FINE = 96
 """Number of squares along each edge of a face of the bounding box."""
 RAYS = 600_000
 MIN_RAYS, MIN_OPEN = 2, 0.4
-"""Minimum number of rays through an open square, absolute, and relative to the median over crossed squares;
-the latter is below 1, since a square at the edge of a window is only partly open."""
+"""Minimum number of rays through an open square, and minimum ratio to the median over crossed squares; the
+ratio is below 1, since a square at the edge of a window is only partly open."""
 PLANES, MAX_DEPTH, MIN_INSIDE = 16, 0.25, 0.9
 """Number of candidate planes per face of the box, maximum depth of a plane relative to the box, and minimum
 share of an opening's rays that start on the inner side of its plane."""
@@ -55,7 +55,7 @@ _GAP = 1e-3  # from plane to rectangles, in box diagonals, so that rectangles ne
 class LeavingRays:
     """N rays from surfels that leave the mesh.
 
-    ``origin``, ``direction`` and ``radiance`` are (N, 3), the latter valid where ``is_known`` (N,); ``face``
+    ``origin``, ``direction`` and ``radiance`` are (N, 3); radiance is valid where ``is_known`` (N,). ``face``
     (N,): face of the bounding box through which the ray leaves, 2 axis + (1 if upper).
     """
 
@@ -169,7 +169,7 @@ class _Plane:
 
     @property
     def square_m(self) -> NDArray[np.float64]:
-        """Side lengths (2,) of a square in metres."""
+        """Edge lengths (2,) of a square in metres; they differ unless the face of the box is a square."""
         return (self.box.high - self.box.low)[list(self.across)] / FINE
 
     def crossed(self, rays: LeavingRays) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:

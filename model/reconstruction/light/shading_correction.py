@@ -142,7 +142,7 @@ def _minimised(
 
 
 def _blocks(surfels: Surfels) -> sparse.csr_matrix:
-    """Compute the membership (N, K), 0 or 1, of surfels in blocks, one side of :data:`_BLOCK`^3 cells each."""
+    """Compute the membership (N, K), 0 or 1, of surfels in blocks of :data:`_BLOCK`^3 cells, by cell side."""
     grid = surfels.grid
     shape = -(-grid.shape // _BLOCK)
     coarse = CellGrid(grid.low, _BLOCK * grid.cell_m, shape, grid.surfel)

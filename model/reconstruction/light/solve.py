@@ -40,15 +40,15 @@ MIN_DARK_METAL = 0.1
 MIN_EVIDENCE = 0.05
 DIELECTRIC_RESIDUAL, METAL_RESIDUAL = (0.03, 0.06), (0.06, 0.12)
 """Ranges of a segment's residual over which confidence decreases from 1 to 0, since no hypothesis explains
-the observations. Dielectrics of high residual are mostly metals in inexact light or geometry; true metals fit
-worse than true dielectrics, since they reflect the errors of light and geometry."""
+the observations. Apparent dielectrics of high residual are mostly metals in inexact light or geometry; true
+metals fit worse than true dielectrics, since they reflect the errors of light and geometry."""
 NETWORK_VARIANCE = 0.1
 """Assumed variance of the network's R. The confidence of R compares the variance of R over hypotheses with
 this value times the square root of the number of views. The variance over hypotheses omits errors of light
 and geometry, which all hypotheses share and which are correlated among the views of a surfel."""
 REGION_SHARE = 0.7
-"""Weight of the mean R of a smooth region's dielectric segments in a segment of full confidence. Segments
-differ in colour, but rarely in R."""
+"""Weight of the mean R of a smooth region's dielectric segments in the shared R of a segment of full
+confidence (:func:`shared_roughness`). Segments of a region differ in colour, but rarely in R."""
 MIN_NOISE = 0.001
 GLOSSY_TEMPERATURE = 0.04
 """Difference of costs, relative to the residual, that reduces the likelihood of S and R by a factor e in a
@@ -75,8 +75,8 @@ MAX_BRIGHTNESS = 1.1
 """Maximum typical radiance, relative to white in the same light, of a segment that is evidence of metal in an
 inexact capture. Metal that reflects a lamp may be brighter."""
 MIRROR_ROUGHNESS, MIRROR_RESIDUAL, MIRROR_FIT = 0.25, 0.06, 0.8
-"""Maximum roughness of a mirror, minimum residual as dielectric, and maximum ratio of residuals as metal and
-as dielectric. Reflections that move with the view suffice as evidence, without a photographed hemisphere."""
+"""Maximum roughness of a mirror, its minimum residual as dielectric, and maximum ratio of its residual as
+metal to that. Reflections that move with the view are evidence enough, without a photographed hemisphere."""
 MIRROR_VIEWS, MIRROR_SURFELS = 1.2, 48
 """Minimum mean number of views of a mirror's surfels, and minimum number of surfels."""
 MATTE_METAL = 0.7

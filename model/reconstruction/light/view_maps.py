@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Computes material maps of views from solved surfels: texture from the photographs, scale from the light.
 
-Shading and materials of the surfels around a pixel are interpolated between cell centres. With its radiance L
-and diffuse shading Ld,
+Shading and materials of the surfels around a pixel are interpolated between cell centres. With the pixel's
+radiance L, its diffuse shading Ld and its specular part in the same view,
 
     D = (L - specular part) / ((1 - S) Ld),
 
-clipped to [0, MAX_ALBEDO] or, in uncertain light, to the albedo of the room's white paint, with the specular
-part in the same view. S and R are those of nearby surfels of similar reflectance, blended with the network's
-by confidence. S of rough metals is that of the nearby surfels times L / (their radiance in the view), which
-adds the detail of the photograph. The network's D is limited to the maximum that the recorded light permits.
+clipped to [0, MAX_ALBEDO] or, in uncertain light, to the albedo of the room's white paint. S and R are those
+of nearby surfels of similar reflectance, blended with the network's by confidence. S of rough metals is that
+of the nearby surfels times L / (their radiance in the view), which adds the detail of the photograph. The
+network's D is limited to the maximum that the recorded light permits.
 
 Errors of cameras and mesh move the edges of sunlight by centimetres, which turns them into stripes of wrong
 albedo, and clipped pixels contain no texture: materials there are replaced by those around them.

@@ -139,7 +139,7 @@ def completed(traced: TracedCapture, run: Run) -> tuple[TracedCapture, DoubtAt |
 
 
 def described(found: Completed) -> dict[str, Any]:
-    """Return exposures, vignetting, response and recovered sources as data for the report."""
+    """Return exposures and vignetting (in stops), response and recovered sources as data for the report."""
     stops = np.log2(found.radiometry.gain)
     return {
         "exposure_stops": [round(float(value), 3) for value in stops.mean(axis=1)],

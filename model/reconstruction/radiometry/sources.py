@@ -24,7 +24,7 @@ from datagen.light.emitters import Emitters, photographed_emitters
 from datagen.light.surfels import Surfels, clipped_shares
 
 CLIPPED_SHARE = 0.5
-"""Minimum share of clipped pixels of an emitter or background bin at which a channel is unknown."""
+"""Minimum share of clipped pixels of an emitter or background bin whose radiance is unknown, by channel."""
 MIN_SURFEL_SHARE = 0.9
 """Minimum share of clipped pixels of a surfel that counts as clipped in all views."""
 MIN_CELLS = 4
