@@ -66,7 +66,7 @@ class Sun:
 
 @dataclass(frozen=True)
 class ShadowRays:
-    """Rays from surfaces in a Mitsuba ``scene`` that start ``start_m`` above them."""
+    """Rays from surfaces in a Mitsuba ``scene``; they start ``start_m`` above the surface."""
 
     scene: Any
     start_m: float

@@ -60,9 +60,9 @@ class CellGrid:
 class Observations:
     """M observations of the surfels, ordered by surfel and then by view.
 
-    The observations of surfel i are rows ``start[i]`` to ``start[i + 1]``. ``view`` (M,): index; ``radiance``
-    (M, 3); ``weight`` (M,): sum of the pixels' weights (:data:`EDGE_WEIGHT`); ``normal`` (M, 3): mean over
-    the pixels, since views from different sides of a chair leg or a tap show different normals.
+    The observations of surfel i are rows ``start[i]`` to ``start[i + 1]`` - 1. ``view`` (M,): index of the
+    view; ``radiance`` (M, 3); ``weight`` (M,): sum of the pixels' weights (:data:`EDGE_WEIGHT`); ``normal``
+    (M, 3): mean over the pixels, since views from different sides of a chair leg or a tap show different ones.
     """
 
     start: NDArray[np.int64]
@@ -370,7 +370,7 @@ def _gathered(
 
 @compiled
 def weighted_medians(start, values, weight):
-    """Weighted median (N, 3) of rows ``start[i]`` to ``start[i + 1]`` of ``values`` (M, 3), per channel.
+    """Weighted median (N, 3) of rows ``start[i]`` to ``start[i + 1]`` - 1 of ``values`` (M, 3), per channel.
 
     It is the first value at which the cumulative weight exceeds half of the total; if the weight equals half,
     the mean of that value and the next; 0 without rows.

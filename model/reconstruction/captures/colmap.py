@@ -36,8 +36,8 @@ _UNSUPPORTED = "PINHOLE, RADIAL, OPENCV, FULL_OPENCV, OPENCV_FISHEYE, RADIAL_FIS
 
 @dataclass(frozen=True)
 class Sights:
-    """K lines of sight from V cameras at ``centers`` (V, 3) to N ``points`` (N, 3), whose indices are
-    ``camera`` (K,) and ``point`` (K,).
+    """K lines of sight from V cameras at ``centers`` (V, 3) to N ``points`` (N, 3); the indices ``camera``
+    (K,) and ``point`` (K,) define the ends of each line.
     """
 
     points: NDArray[np.float64]

@@ -2,9 +2,10 @@
 """Estimates the up axis and unit of a capture.
 
 Photographers hold cameras upright, so up is the axis within 30 degrees of the cameras' mean up direction. In
-an arbitrary frame, as from structure from motion, up is the direction most nearly perpendicular to the pixel
-rows of all images, regardless of the cameras' tilt. The unit is the metre if the mesh is at most 100 across
-(diagonal of the bounding box), else the millimetre or centimetre, whichever makes it closer to 8 m across.
+an arbitrary frame, as from structure from motion (``up="cameras"``), up is the direction most nearly
+perpendicular to the pixel rows of all images, regardless of the cameras' tilt. The unit is the metre if the
+mesh is at most 100 across (bounding box's diagonal), else the millimetre or centimetre, whichever makes it
+closer to 8 m across.
 """
 
 from __future__ import annotations

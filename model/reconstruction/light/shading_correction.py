@@ -56,7 +56,7 @@ def shading_correction(
     photographed: NDArray,
     is_diffuse: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
-    """Compute u (N, 3), by which exp(u) multiplies ``albedo`` (N, 3) and divides the diffuse shading.
+    """Compute u (N, 3); exp(u) multiplies ``albedo`` (N, 3) and divides the diffuse shading.
 
     ``region`` (N,): index of each surfel's smooth region; ``predicted`` (N, 3): the network's albedo;
     ``confidence`` (N,): confidence in the light, in [0, 1]; ``photographed`` (N,): photographed share of each

@@ -44,7 +44,7 @@ DOUBT_RAYS = 144
 MIN_VIEWS, MIN_PHOTOGRAPHED = 2, 0.5
 """Minimum number of views of a surfel, and minimum photographed share of its light, for the estimate."""
 MAX_FACTOR = 3000.0
-"""Maximum ratio of a source's radiance to its photographed radiance."""
+"""Maximum ratio of a source's estimated radiance to its photographed radiance."""
 MAX_SUNLIT_FACTOR = 30.0
 """Maximum of this ratio for a patch of surface, which rarely exceeds it even in sunlight. A higher estimate
 is rather due to a lamp that no photograph shows, so the patch keeps its photographed radiance."""
