@@ -62,7 +62,7 @@ class Observations:
 
     The observations of surfel i are rows ``start[i]`` to ``start[i + 1]`` - 1. ``view`` (M,): index of the
     view; ``radiance`` (M, 3); ``weight`` (M,): sum of the pixels' weights (:data:`EDGE_WEIGHT`); ``normal``
-    (M, 3): mean over the pixels, since views from different sides of a chair leg or a tap show different ones.
+    (M, 3): mean over the pixels, since views from two sides of a chair leg or a tap show different normals.
     """
 
     start: NDArray[np.int64]

@@ -110,9 +110,8 @@ def find_level(
 ) -> AlbedoLevel:
     """Estimate the albedo scale of the views' ``maps``; gains are 1 if the evidence is insufficient.
 
-    ``emits`` (M,) is the mask of triangles known to emit, ``region_of_face`` (M,) each triangle's smooth
-    region; ``doubt_at`` returns the uncertain luminance (N,) of diffuse shading at positions and normals
-    (N, 3).
+    ``emits`` (M,): mask of triangles known to emit; ``region_of_face`` (M,): smooth region of each triangle;
+    ``doubt_at``: see :data:`~model.reconstruction.stages.DoubtAt`.
     """
     num_regions, clipped = int(region_of_face.max(initial=-1)) + 1, clipped_share(views)
     try:

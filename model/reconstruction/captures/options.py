@@ -31,8 +31,7 @@ class FrameOptions:
 
     ``up`` is the up axis of the cameras' world and ``unit_m`` its unit in metres; "auto" and None estimate
     them (``captures.frames``); "cameras" estimates an up direction that need not be an axis. Views whose
-    longer side exceeds ``max_width_px`` are scaled down, since the networks are trained on views of 640
-    pixels.
+    longer side exceeds ``max_width_px`` are scaled down, since networks are trained on views of 640 pixels.
     """
 
     mesh: Annotated[Path | None, typer.Option(help="PLY, OBJ, glTF or GLB in the cameras' frame.")] = None

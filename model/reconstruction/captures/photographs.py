@@ -221,9 +221,7 @@ def _intrinsics(camera: Camera) -> tuple[float, float, float, float]:
 def _distorted_pixels(
     lens: Camera, distortion: Distortion | None, camera: Camera
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Compute the positions x and y (H, W) of the pixels of ``camera`` in the lens image, in OpenCV's
-    convention (centres at integers).
-    """
+    """Compute x and y (H, W) in the lens image of the pixels of ``camera``, centres at integers (OpenCV)."""
     size = (camera.width_px, camera.height_px)
     u, v = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
     rays = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px], axis=-1)

@@ -181,8 +181,7 @@ class SurfelConfidence:
     """Confidence of N surfels by grid cell and side of the cell, the signed axis nearest to the normal.
 
     ``low`` (3,), ``cell_m`` and ``shape`` (3,): lower corner, cell size and number of cells of the grid;
-    ``cell`` (N,): key of each surfel's cell and side, ascending; ``confidence`` (N, 3): of D, S and R, 255
-    for 1.
+    ``cell`` (N,): key of each surfel's cell and side, ascending; ``confidence`` (N, 3): of D, S and R, x 255.
     """
 
     low: NDArray[np.float64]

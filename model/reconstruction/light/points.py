@@ -196,8 +196,7 @@ def _choose_observations(
 
 @dataclass(frozen=True)
 class PointShading:
-    """Terms of the points' specular radiance S ``ls0`` + ``ls1`` per observation, (P, O, roughness levels, 3)
-    each.
+    """Terms of the points' specular radiance S ``ls0`` + ``ls1``, (P, O, roughness levels, 3) each.
 
     The ``weight`` (P, O) of an observation is lower where its lobe includes unphotographed radiance.
     """

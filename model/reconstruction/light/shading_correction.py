@@ -105,9 +105,7 @@ def network_scale(albedo: NDArray, predicted: NDArray, confident: NDArray) -> ND
 
 
 def _network_offset(difference: NDArray, confident: NDArray) -> tuple[NDArray[np.float64], float]:
-    """Compute the robust mean (3,) and standard deviation of ``difference`` (N, 3), weighted by ``confident``
-    (N,).
-    """
+    """Compute the robust weighted mean (3,) and standard deviation of ``difference`` (N, 3)."""
     offset, spread, _ = _grouped_spread(difference, confident, np.zeros(len(confident), np.int64))
     return offset[0], float(spread[0])
 

@@ -82,7 +82,7 @@ MIRROR_VIEWS, MIRROR_SURFELS = 1.2, 48
 MATTE_METAL = 0.7
 """Roughness above which metal looks so much like matte paint that the network's S is no evidence of metal."""
 MIN_METAL_SURFELS = 6
-"""Minimum number of surfels of a smooth region of metal. The mixed pixels of smaller pieces, such as the
+"""Minimum number of surfels of a smooth region of metal. The mixed pixels of smaller regions, such as the
 fragments of a bumpy mesh, resemble metal."""
 METAL_TOLERANCE = 0.005
 """Maximum excess cost of metal over a dielectric at which a segment of a metal region becomes metal."""

@@ -46,7 +46,7 @@ MIN_VIEWS, MIN_PHOTOGRAPHED = 2, 0.5
 MAX_FACTOR = 3000.0
 """Maximum ratio of a source's estimated radiance to its photographed radiance."""
 MAX_SUNLIT_FACTOR = 30.0
-"""Maximum of this ratio for a patch of surface, which rarely exceeds it even in sunlight. A higher estimate
+"""Like :data:`MAX_FACTOR`, for patches of surface, which rarely exceed it even in sunlight. A higher estimate
 is rather due to a lamp that no photograph shows, so the patch keeps its photographed radiance."""
 TYPICAL_SPECULAR = 0.04
 """Specular albedo of most dielectrics; its ratio to the diffuse albedo is the relative error of a purely

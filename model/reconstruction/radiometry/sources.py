@@ -233,7 +233,7 @@ def _largest(label: NDArray, least: int) -> NDArray[np.int64]:
 def source_of_pixels(
     view: TracedView, sources: Sources, emitters: Emitters, background: Background, surfel: NDArray
 ) -> NDArray[np.int64]:
-    """Find the index (P,) of the source at each pixel, -1 for none, from the pixels' ``surfel`` (P,)."""
+    """Find the index (P,) of the source of each pixel's emitter, ``surfel`` (P,) or background bin, or -1."""
     face = view.geometry.face.ravel()
     found = np.full(len(face), -1, np.int64)
     on_mesh = np.flatnonzero(face >= 0)
