@@ -21,7 +21,7 @@ the size of the surfels' cells. The distance equals the diagonal of the photogra
 
 @dataclass(frozen=True)
 class Cells:
-    """A grid of C cells with six sides each, of which K have radiance.
+    """A grid of C cells; K of their 6 C sides have radiance.
 
     ``index`` (6 C,): row of each cell side in ``radiance`` (K, 3) and ``is_photographed`` (K,), -1 for none.
     ``low`` (3,): lower corner of the grid in metres; ``cell_m``: edge length of a cell; ``shape`` (3,): cells

@@ -40,7 +40,7 @@ SHARE_ERROR = 0.04
 TEXTURE = 0.5
 """Assumed standard deviation of the radiance within a block or surfel, relative to the median."""
 BLOCK_CELLS = 20
-"""Edge length in cells of blocks, to whose median surfels with few or uncertain pixels are shrunk."""
+"""Edge length, in cells, of the blocks to whose medians surfels with few or uncertain pixels are shrunk."""
 MIN_SHARE = 0.1
 """Lower bound on the divisor a_p."""
 WINDOW, MIN_SPREAD = 9, 0.01

@@ -206,7 +206,7 @@ def _estimated(
     sun.
 
     The estimated radiance is the typical reflectance of the smooth region times the incident light times a
-    gain, which is fitted to the diffuse part of the photographed radiance, the radiance of ``diffuse``.
+    gain, which is fitted to the diffuse part of the photographed radiance, given by the surfels ``diffuse``.
     """
     no_sunlight = np.zeros((len(surfels), 3), np.float32)
     if not options.estimates_unseen:

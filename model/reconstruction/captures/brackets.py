@@ -21,7 +21,7 @@ from model.reconstruction.captures.photographs import PhotographSource
 MAX_APART_M = 1e-3
 """Maximum distance between the estimated camera centres of one bracket."""
 MAX_TURN_RAD = 1e-3
-"""Maximum angle between orientations in a bracket: 0.6 of 640 pixels in a field of view of 60 degrees."""
+"""Maximum angle between orientations in a bracket: 0.6 pixels at a width of 640 pixels and 60 degrees."""
 MAX_INTRINSICS_SHARE = 1e-3
 """Maximum difference between the intrinsics of one bracket, relative to the image width."""
 MIN_EXPOSURE_RATIO = 1.1

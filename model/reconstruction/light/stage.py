@@ -4,8 +4,8 @@
 Surfels and their radiance field are gathered (``lighting``) and divided into segments, whose S and R are
 solved (``points``, ``solve``). A second round computes the light with less noise, reflections at metals and
 the mean outgoing radiance of dielectrics, and solves again if there is metal. Then the specular part of every
-observation is computed, shading by unphotographed light is corrected (``shading_correction``), and maps
-(``view_maps``) are computed and blended with the network's by ``confidence``. See docs/light.md.
+observation is computed, shading is corrected where light is not photographed (``shading_correction``), and
+maps (``view_maps``) are computed and blended with the network's by ``confidence``. See docs/light.md.
 """
 
 from __future__ import annotations

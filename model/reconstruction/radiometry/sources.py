@@ -220,7 +220,7 @@ def _labelled_surfels(views: Sequence[TracedView], surfels: Surfels) -> tuple[ND
 def _largest(label: NDArray, least: int) -> NDArray[np.int64]:
     """Renumber ``label`` (N,) by decreasing number of members, with at most :data:`MAX_SOURCES` labels.
 
-    Labels with fewer than ``least`` members become -1.
+    Further labels are merged into the last; those with fewer than ``least`` members become -1.
     """
     num = np.bincount(label[label >= 0])
     order = np.argsort(-num, kind="stable")
