@@ -40,7 +40,7 @@ MIN_THROUGHPUT = 1e-3
 SOLID_OPACITY = 0.5
 """Minimum opacity of a solid surface; the first solid surface determines a pixel's depth and ids."""
 MIN_COVERAGE = 1e-6
-"""Coverage by reflecting surface up to which a pixel is masked, since so small a sample is only noise."""
+"""Coverage by reflecting surface below which a pixel is masked, since its channels would be noise."""
 # Steps of lens and time in units of 2^-32: the fractional parts of sqrt(2), sqrt(3) and sqrt(5), which are
 # independent over the rationals, so that their multiples fill three dimensions evenly.
 _LENS_X, _LENS_Y, _TIME = 1779033703, 3144134277, 1013904243
@@ -195,9 +195,10 @@ def _trace(view: _View, ray: Any) -> _RayResult:
 
 
 def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[_RayResult, Any]:
-    """Return filter-weighted sums over each pixel's samples (point and shape: of its centre) and of weights.
+    """Return filter-weighted sums over the samples of each pixel, and the sums of the filter weights.
 
-    Sample 0 is the centre, so the scene's intersection code is compiled once, in a single symbolic loop.
+    Point and shape index are those of sample 0, at the pixel's centre and with weight 0. It is part of the
+    loop so that the scene's intersection code is compiled only once.
     """
     pixel: Any = mi.UInt32(y) * view.width + mi.UInt32(x)
     # opaque, so that one compiled kernel serves all seeds
@@ -284,8 +285,8 @@ def render_material_buffers(
     They are float32 except for ``instance_id`` and ``material_id`` (uint32). The result also contains
     ``position_world`` [m], the point whose depth is ``depth_z_m`` [m]. ``ids`` maps shape ids to (instance
     id, material id), or is a :class:`SceneMaterials` shared by several views; None: shapes are numbered.
-    ``hide_emitters`` must have the value of the beauty integrator's. Raises :class:`InputError` if ``spp`` is
-    below 1, a shape's material has no D, S and R, or a shape is missing from ``ids``.
+    ``hide_emitters`` must equal that of the beauty image's integrator. Raises :class:`InputError` if ``spp``
+    is below 1, a shape's material has no D, S and R, or a shape is missing from ``ids``.
     """
     chosen: Any = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
     materials = ids if isinstance(ids, SceneMaterials) else SceneMaterials(scene, ids)

@@ -240,8 +240,8 @@ class SceneMaterials:
     """The materials and ids of all shapes of a scene, for evaluation in kernels.
 
     ``ids`` maps shape ids to (instance id, material id), both in [1, 2^24); None numbers them in the scene's
-    order. Raises :class:`InputError` that lists every shape whose BSDF is not supported, that is missing from
-    ``ids``, or whose textures need UVs that its mesh lacks.
+    order. Raises an :class:`InputError` that lists every shape whose BSDF is not supported, that is missing
+    from ``ids``, or whose textures need UVs that its mesh lacks.
     """
 
     def __init__(self, scene: mi.Scene, ids: IdTable | None = None):

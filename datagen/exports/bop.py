@@ -2,9 +2,9 @@
 """Writes 3D boxes and object poses in the layout of the BOP benchmark: ``<split>/000000/scene_gt.json`` etc.
 
 Lengths are in millimetres; camera axes are as in this project: x right, y down, z forward. BOP's poses are
-rigid, so an object at another scale is another model. ``boxes3d.json`` contains the world-space boxes, in
-metres, of all objects, visible or not. ``mask_visib`` and ``bbox_visib`` cover the visible pixels,
-``bbox_obj`` all projected vertices.
+rigid, so each scale of an object is a separate model. ``boxes3d.json`` contains the world-space boxes, in
+metres, of all objects, visible or not. ``mask_visib`` and ``bbox_visib`` cover the visible pixels of an
+object, ``bbox_obj`` all its projected vertices.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def pose_and_scale(placed: PlacedAsset) -> tuple[NDArray[np.float64], tuple[floa
 class BopFiles:
     """Writer of one BOP scene per room; :meth:`finish` writes the numbered models of all objects.
 
-    Raises :class:`InputError` if the export has no library, whose meshes it needs.
+    Raises :class:`InputError` if the export has no library, which contains the models' meshes.
     """
 
     def __init__(self, export: Export):

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Writes boxes and masks in COCO's layout: ``images/<split>/*.png``, ``annotations/instances_<split>.json``.
 
-Masks are in COCO's compressed run-length encoding: lengths of column-major runs, background first, from the
-fourth on as differences from the length two runs before, each written in groups of five bits.
+Masks are in COCO's compressed run-length encoding: the lengths of runs in column-major order, starting with
+background. From the fourth run on, the difference from the length two runs before is stored. Numbers are
+written in groups of five bits.
 """
 
 from __future__ import annotations

@@ -3,7 +3,8 @@
 
 flow(p) = project_b(unproject_a(p, depth_a(p))) - p, in pixels, for every pixel p of view a whose surface
 point is in front of camera b; elsewhere 1e10, the format's value for unknown flow. The mask is True where the
-point is visible in b: the surface shown there is near the point, in its plane and of the same instance.
+point is visible in b: the surface that b shows at this position is of the same instance, near the point, and
+has a tangent plane through it.
 """
 
 from __future__ import annotations
@@ -62,7 +63,10 @@ def encode_flo(flow: NDArray[np.float32]) -> bytes:
 
 
 def export_flow(export: Export, room: Room) -> None:
-    """Write images, and the flow from each view to at most ``neighbours`` views that show most of it."""
+    """Write images, and the flow from each view to the ``neighbours`` views that show most of its points.
+
+    Views that show less than ``min_overlap`` of the points are left out. ``pairs.json`` lists the files.
+    """
     name, views = room.configuration.id, room.views
     read = [view.read(*_NAMES) for view in views]
     cameras = [view.camera for view in views]

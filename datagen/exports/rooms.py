@@ -71,7 +71,7 @@ class Room:
 
 @dataclass
 class Export:
-    """One run of ``datagen export``, with its rooms, output folder and options."""
+    """One run of ``datagen export``; ``neighbours`` and ``min_overlap`` are options of optical flow."""
 
     rooms: Sequence[Room]
     out: Path

@@ -114,7 +114,7 @@ class SlotMaterial(Material):
 class Part(StrictModel):
     """One mesh with the material of one slot; parts with different ``asset_from_part`` may share a mesh file.
 
-    ``uv_per_m``: median UV units per metre over the mesh, None without UVs; scales tiled materials.
+    ``uv_per_m``: median number of UV units per metre, for scaling tiled materials; None without UVs.
     """
 
     name: str
@@ -216,7 +216,7 @@ class _AssetBase(StrictModel):
 
 
 class MaterialAsset(_AssetBase):
-    """A material that can be assigned to any slot of a suitable class.
+    """A material that can be assigned to the slots that accept its main class (``replaceable_by``).
 
     ``surfaces``: surfaces on which the material is common; empty if only its class matters.
     """
@@ -248,10 +248,10 @@ class GeometryAsset(_AssetBase):
 class ObjectAsset(GeometryAsset):
     """An object that can be placed in a room.
 
-    ``minimum_m`` and ``maximum_m`` are the corners of the meshes' bounding box, with z from 0. The footprint
-    is the convex hull of the meshes' x-y projection (``footprint_m`` is ignored). Scale and yaw are drawn
-    from their ranges. ``supports``: kinds of surfaces on which it may stand; objects without any, such as
-    hanging and built-in ones, are never placed.
+    ``minimum_m`` and ``maximum_m`` are the corners of the meshes' bounding box, whose lowest z is 0. The
+    footprint is the convex hull of the meshes' x-y projection (``footprint_m`` is ignored). Each placement
+    draws a scale and a yaw from ``scale_range`` and ``yaw_range_rad``. ``supports``: kinds of surfaces on
+    which it may stand; objects that list none, such as hanging and built-in ones, are never placed.
     """
 
     kind: Literal["object"] = "object"

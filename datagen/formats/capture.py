@@ -69,7 +69,7 @@ class CaptureFile(StrictModel):
     """Content of ``capture.json``.
 
     ``encoding``: transfer function of the images' values. ``auto`` is sRGB for integer images (PNG, JPEG,
-    TIFF) and linear for EXR; ``gamma22`` is the assumption of Prakash et al. 2022 for photographs.
+    TIFF) and linear for EXR; ``gamma22``, a power of 2.2, is assumed by Prakash et al. 2022 for photographs.
     ``lights``, if known, illuminate renderings of the result.
     """
 

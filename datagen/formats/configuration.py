@@ -61,9 +61,9 @@ class MaterialAssignment(StrictModel):
 class PlacedAsset(StrictModel):
     """An environment or object in the world; ``name`` is unique in the configuration.
 
-    ``world_from_asset`` contains scale, yaw and position. ``materials`` maps slot to assignment; other slots
-    keep the asset's material. ``emission`` replaces the radiance of emissive slots; (0, 0, 0) switches one
-    off. ``support``: name of the support surface on which an object stands.
+    ``world_from_asset`` contains scale, yaw and position. ``materials`` maps slots to assignments; all other
+    slots keep the asset's material. ``emission`` replaces the radiance of emissive slots; (0, 0, 0) switches
+    a slot off. ``support``: name of the support surface on which an object stands.
     """
 
     name: str
@@ -124,7 +124,7 @@ class Configuration(StrictModel):
     ``assets`` maps every used asset id (environment, objects, materials, images of lights) to the SHA-256 of
     its package; rendering refuses a library whose packages differ. ``rejections`` counts rejected candidate
     placements and cameras by stage and reason (``camera.too_close``). ``coverage`` summarises the content of
-    the views; None in configurations from other sources. ``seed`` seeds the renderer's sampler.
+    the views; None if the configuration was not planned from a recipe. ``seed`` seeds the renderer's sampler.
     """
 
     format: Literal["scene-materials/configuration"] = "scene-materials/configuration"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Finds rectangles without area and directions of length 0 in lights, light slots, openings and supports."""
+"""Detection of rectangles without area and zero directions in lights, light slots, openings and supports."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Lights in the files of assets and configurations, in radiometric units and linear Rec.709.
 
-Positions are in metres in the frame of the file (that of an asset, or the world). A ``direction`` is the unit
-vector along which light travels, away from the emitter.
+Positions are in metres, in the asset's frame or, in a configuration, in the world. A ``direction`` is the
+unit vector along which light travels, away from the emitter.
 """
 
 from __future__ import annotations

@@ -105,12 +105,12 @@ class Variation(StrictModel):
 
 
 class MaterialRecipe(AssetFilter):
-    """Materials of slots: the probabilities that the material of a slot is replaced or varied.
+    """Probabilities that the material of a slot is replaced or varied, and options of both.
 
-    ``variation``: weights of the modes; only ``wild`` by default, for compatibility. In this mode, a
-    replacement ignores the classes that suit a slot with probability ``any_class_probability`` (a floor of
-    steel, a sofa of marble), and ``class_weights`` are relative probabilities of classes (default 1 each; 0
-    excludes a class).
+    ``variation``: weights of the modes; only ``wild`` by default, for compatibility. In ``wild`` mode,
+    ``any_class_probability`` is the probability that a replacement ignores the classes that suit the slot (a
+    floor of steel, a sofa of marble), and ``class_weights`` are relative probabilities of classes (default 1
+    each; 0 excludes a class). ``variation_strength`` scales the ranges of colour and roughness changes.
     """
 
     variation: Variation = Variation(wild=1.0)
@@ -147,12 +147,13 @@ class LightRecipe(StrictModel):
     """Lights of configurations. Each kind is used with its own probability; at least one light is on.
 
     ``native``: lights of the assets themselves. If area or point lights are used, at least one is placed, if
-    possible: a drawn ``count_area`` or ``count_point`` of 0 counts as 1.
+    possible: a drawn ``count_area`` or ``count_point`` of 0 counts as 1. ``environment_images``: ids of
+    assets whose environment image replaces the computed sky in half of the configurations with daylight.
 
-    With ``panoramas``, every room with openings and without a sky has a panorama outside, regardless
-    of ``daylight_probability``; generated rooms then have no modelled surroundings.
-    ``color_temperature_k`` and ``mean_irradiance`` (W/m^2, at possible camera positions) are drawn
-    log-uniformly, as are the shares of the irradiance that the groups of lights contribute.
+    With ``panoramas``, every room with openings and without a sky of its own has a panorama outside,
+    regardless of ``daylight_probability``; generated rooms then have no modelled surroundings.
+    ``color_temperature_k``, ``mean_irradiance`` (W/m^2, at possible camera positions) and the relative
+    contributions of the lights to the irradiance are drawn log-uniformly.
     """
 
     native_probability: Unit = 0.5
@@ -175,6 +176,7 @@ class CameraRecipe(StrictModel):
     share of the image nearer than twice this distance. ``min_content``: minimum number of distinct visible
     instances. ``min_overlap``: minimum share of a view's points that are visible in another view too.
     ``min_luminance``: minimum luminance of a view relative to the median of all candidate views.
+    ``max_attempts``: maximum number of candidate cameras per requested view.
 
     ``subject``: with ``things``, cameras aim at objects at any height, and at floors and tables from above;
     with ``room``, cameras look across the room, nearly level, and overlapping views are preferred.
@@ -248,9 +250,9 @@ def _budget_contradictions(given: dict[str, Any]) -> list[str]:
 
 
 class RenderRecipe(StrictModel):
-    """Sampling budget of a view: a fixed number of light paths, or a target error.
+    """Options of rendering. The sampling budget of a view is a fixed number of light paths or a target error.
 
-    Give one of
+    Give one of these budgets:
 
     * ``path_samples``: number of light paths per pixel (the default, 8);
     * ``max_rel_mse``: render until the estimated relMSE of the finished beauty image (see
@@ -263,9 +265,10 @@ class RenderRecipe(StrictModel):
     white; None = no clamp; direct light is never clamped. ``irradiance_cache``: after a diffuse or rough
     reflection, a path may end with irradiance from a cache that all views share; faster, with a small bias
     (docs/decisions/0075). ``auxiliary_samples``: samples per pixel of the ground truth. ``max_depth``:
-    maximum number of segments of a path (the default, 8). If ``max_energy_left`` is given instead, the number
+    maximum number of segments of a path (default 8). If ``max_energy_left`` is given instead, the number
     follows from the scene's albedo so that at most that share of the light is truncated; cached irradiance
-    includes any number of bounces.
+    includes any number of bounces. ``russian_roulette_depth``: number of segments from which Russian roulette
+    may end a path. ``keep_noisy``: also store the image before denoising. ``variant``: Mitsuba's.
     """
 
     variant: Literal["auto", "llvm_ad_rgb", "cuda_ad_rgb"] = "auto"

@@ -2,9 +2,9 @@
 """Shards: WebDataset tar files with deterministic bytes, one configuration each, and the dataset's index.
 
 A shard contains ``<configuration>/<view>.exr`` and ``<configuration>/<view>.json`` for each view, in order,
-after ``__meta__/configuration``: WebDataset skips names in such folders, and Hugging Face's `datasets` skips
-names without a suffix. Headers are USTAR with fixed owner, mode and time. Before result revision 8, the first
-member was called ``__meta__/configuration.json``; such shards can still be read.
+after ``__meta__/configuration``: WebDataset skips folders named ``__NAME__``, and Hugging Face's `datasets`
+skips names without a suffix. Headers are USTAR with fixed owner, mode and time. Older shards, whose first
+member is called ``__meta__/configuration.json``, can be read too.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class AssetRecord(StrictModel):
 
 
 class ShardRecord(StrictModel):
-    """One shard in the index. ``file`` is a path relative to the index."""
+    """One shard in the index. ``file`` is a path relative to the index, ``assets`` the ids of used assets."""
 
     file: RelativePath
     sha256: str
@@ -60,7 +60,11 @@ class ShardRecord(StrictModel):
 
 
 class DatasetIndex(StrictModel):
-    """``index.json``: content and provenance of the dataset."""
+    """``index.json``: content and provenance of the dataset.
+
+    ``versions`` lists the software that affects pixels, ``missing`` the planned units without a shard;
+    ``splits`` counts configurations by split, ``assets`` describes the used assets by id.
+    """
 
     format: Literal["scene-materials/dataset"] = "scene-materials/dataset"
     version: Literal[1] = 1

@@ -84,7 +84,7 @@ class RenderRecord(StrictModel):
 
 
 class StatisticsRecord(StrictModel):
-    """Record of a view's statistics; ``light``: whether they include the light buffers."""
+    """Number of candidate views of a view's statistics, and options (``datagen.formats.recipe``)."""
 
     num_views: int
     best_views: int
@@ -96,10 +96,11 @@ class StatisticsRecord(StrictModel):
 class ViewRecord(StrictModel):
     """``<view>.json``: all metadata of a view.
 
-    ``instances`` maps ids to names of placed objects or, for the room, ``name/part``; ``materials`` maps ids
-    to ids of assigned materials or ``asset/slot``. ``exposure`` brings the 95th percentile of luminance to
-    0.9. ``exr_sha256`` is the hash of the view's EXR file; ``versions`` lists the versions of software that
-    affects pixels. Version 1, in which names of ids were dictionaries, can be read too.
+    ``instances`` maps ``instance_id`` to names of placed objects or, for the room, ``name/part``;
+    ``materials`` maps ``material_id`` to material packages or, for an asset's own materials, ``asset/slot``.
+    ``exposure`` brings the 95th percentile of luminance to 0.9. ``exr_sha256`` is the hash of the view's EXR
+    file; ``versions`` lists the versions of software that affects pixels. Version 1, in which ``instances``
+    and ``materials`` were dictionaries, can be read too.
     """
 
     format: Literal["scene-materials/view"] = "scene-materials/view"

@@ -2,9 +2,9 @@
 """Resource limits for untrusted files: all readers of an import charge one budget.
 
 A small file can expand to a large amount of data: references that fan out, a mesh placed a million times,
-compressed zeros. Each limit applies to the expanded data and grows with the actual size of the file, so that
-large files are not refused for being large. The defaults keep the cost of a small file below 10 s and 1 GB.
-Users who trust a file can raise a limit:
+compressed zeros. Limits apply to the expanded data; those of triangles, pairs, pixels and bytes grow with the
+size of the files, so that large files are not refused for being large. The defaults keep the cost of a small
+file below 10 s and 1 GB. Users who trust a file can raise a limit:
 
     SCENE_MATERIALS_LIMITS=instances=50000,triangles=8000000 datagen import forest.gltf --library my-library
 """
@@ -49,7 +49,7 @@ _NOUNS: dict[LimitName, str] = {
 class Limits:
     """Upper limits of the amounts used by one import. Raises :class:`InputError` for invalid limits.
 
-    A mesh is charged as many triangles as it has faces or, if more, a third of its vertices.
+    A mesh is charged as many triangles as it has faces or, if that is more, as a third of its vertices.
     """
 
     nodes: int = 200_000

@@ -156,9 +156,9 @@ VIEW_BUFFERS = RENDERED_BUFFERS + STATISTICS_BUFFERS
 LIGHT_BUFFERS = _names("statistics", is_optional=True)
 """Buffers of the light recorded by a configuration's views, enabled by the recipe's ``statistics.light``."""
 MIRROR_ROUGHNESS = {"mirror_sharp": 0.2, "mirror_broad": 0.5}
-"""Roughness R, by buffer, of the hypothetical surface (S = 1) whose reflected radiance it contains."""
+"""Roughness R of the hypothetical surface (S = 1) whose reflected radiance each buffer contains."""
 MIN_COVERAGE = 0.5
-"""Minimum ``surface_mask`` of a surface pixel; below it, other content dominates the colour."""
+"""Minimum ``surface_mask`` of a surface pixel; below it, emitters or background dominate the colour."""
 
 
 def get_buffer(name: str) -> Buffer:

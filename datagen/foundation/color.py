@@ -65,7 +65,7 @@ def exposure_for(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | None = Non
 
 
 def cividis() -> list[list[int]]:
-    """Return the colour map for scalar images as 256 sRGB colours [red, green, blue], 0 to 255."""
+    """Return matplotlib's colour map cividis as 256 sRGB colours [red, green, blue], 0 to 255."""
     from matplotlib import colormaps
 
     colors = colormaps["cividis"](np.linspace(0, 1, 256))[:, :3]
@@ -112,7 +112,7 @@ def clipped_share(linear_rgb: NDArray[Any], exposure: float, valid_mask: NDArray
 
 
 def color_of_temperature(kelvin: float) -> tuple[float, float, float]:
-    """Return a black body's Rec.709 colour of luminance 1 (Kim 2002), clamping to 1667 K to 25000 K."""
+    """Return a black body's Rec.709 colour at luminance 1 (Kim 2002), for 1667 to 25000 K, else clamped."""
     t = min(max(kelvin, 1667.0), 25000.0)
     if t < 4000:
         x = -0.2661239e9 / t**3 - 0.2343589e6 / t**2 + 0.8776956e3 / t + 0.179910

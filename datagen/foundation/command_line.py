@@ -55,7 +55,7 @@ LibraryPaths = Annotated[list[Path], typer.Argument(metavar="LIBRARY...", help="
 
 
 def finite(value: float | None) -> float | None:
-    """Callback of an option that refuses NaN and infinity, which pass typer's check of a minimum."""
+    """Typer callback that refuses NaN and infinity, which pass typer's check of an option's minimum."""
     if value is not None and not math.isfinite(value):
         raise typer.BadParameter(f"{value} is not finite")
     return value
@@ -96,7 +96,7 @@ def run_function(function: Callable[..., None]) -> None:
 
 
 def group_with(moved: Mapping[str, str]) -> type[TyperGroup]:
-    """Return a Typer group class that reports the replacements (values) of removed subcommands (keys)."""
+    """Return a Typer group class for ``moved``, which maps removed subcommands to their replacements."""
 
     class Group(TyperGroup):
         """Group that raises :class:`InputError` for a removed subcommand, with its replacement."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Largest rectangles of a mask."""
+"""Search for the largest rectangles in a mask."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 def rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[tuple[int, int, int, int]]:
-    """Yield up to ``count`` disjoint rectangles ``mask[x0:x1, y0:y1]`` without False, the largest first."""
+    """Yield up to ``count`` disjoint all-True rectangles ``mask[x0:x1, y0:y1]``, the largest first."""
     mask = mask.copy()
     for _ in range(count):
         x0, x1, y0, y1 = largest_rectangle(mask, min_side)
@@ -21,9 +21,10 @@ def rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[t
 
 
 def largest_rectangle(mask: NDArray[np.bool_], min_side: int = 1) -> tuple[int, int, int, int]:
-    """Return (x0, x1, y0, y1) of the largest rectangle ``mask[x0:x1, y0:y1]`` without False; zeros if none.
+    """Return (x0, x1, y0, y1) of the largest all-True rectangle ``mask[x0:x1, y0:y1]``; zeros if none.
 
-    Sides are at least ``min_side``. The rectangle is the largest in any row's histogram of column heights.
+    Sides are at least ``min_side``. Each row is searched as a histogram, whose bars are the runs of True that
+    end in this row.
     """
     best, result = 0, (0, 0, 0, 0)
     heights = np.zeros(mask.shape[1] + 1, dtype=np.int64)  # the last stays 0, which ends every open rectangle

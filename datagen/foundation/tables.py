@@ -14,6 +14,6 @@ _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the C loader is seven
 
 
 def read_table(module: str, name: str, kind: type[T]) -> T:
-    """Read the YAML file ``name`` in the folder of the file ``module`` as a ``kind``."""
+    """Read the YAML file ``name`` beside ``module``, the ``__file__`` of a module, as a ``kind``."""
     text = Path(module).with_name(name).read_text("utf-8")
     return TypeAdapter(kind).validate_python(_LOADER(text).get_single_data())

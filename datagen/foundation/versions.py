@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Versions of the software that affects pixels; they are recorded with results and determine a unit's key."""
+"""Versions of the software that affects pixels, recorded with results and hashed in the key of a unit."""
 
 from __future__ import annotations
 

@@ -260,7 +260,7 @@ def _fetch_colors(
 def _fetch_bilinear(
     packed: PackedViews, at: Any, colors: mi.Float, options: VisibilityOptions, active: mi.Bool
 ) -> mi.Vector4f:
-    """Interpolate colours between the four pixels around the projection, except those of other depth."""
+    """Interpolate colours between the four pixels around the projection, excluding those at another depth."""
     import drjit as dr
     import mitsuba as mi
 

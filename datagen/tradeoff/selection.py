@@ -89,7 +89,7 @@ def front_of(points: Iterable[Point], base: Setting) -> list[Point]:
 
 
 def recommend(points: Iterable[Point], base: Setting, limits: dict[str, float]) -> Point:
-    """Return the cheapest comparable point with errors of at most ``limits``, by field of :class:`Point`.
+    """Return the cheapest comparable point within ``limits``: maximum errors by field of :class:`Point`.
 
     If there is none, raises :class:`InputError` with the smallest errors measured.
     """

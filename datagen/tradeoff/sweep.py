@@ -83,7 +83,7 @@ class Subject:
 
 
 class Sweep:
-    """A sweep over configurations of a planned dataset folder.
+    """A sweep over configurations of a planned dataset folder; ``unavailable``: settings that need a GPU.
 
     Raises :class:`InputError` for faults of options or folder.
     """

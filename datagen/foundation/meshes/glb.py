@@ -30,8 +30,9 @@ class GlbWriter:
         return len(self.views) - 1
 
     def array(self, rows: NDArray[Any], kind: str, *, has_bounds: bool = False) -> int:
-        """Add an array (N, C) of vertex data (float32) or, if ``kind`` is ``SCALAR``, of indices (uint32);
-        return the index of its accessor.
+        """Add an array (N, C) of vertex data (float32) or, if ``kind`` is ``SCALAR``, of indices (uint32).
+
+        Returns the index of its accessor, which states the extrema if ``has_bounds``.
         """
         is_index = kind == "SCALAR"
         stored = np.ascontiguousarray(rows, "<u4" if is_index else "<f4")

@@ -109,7 +109,7 @@ def bounds(meshes: Sequence[Mesh]) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 @dataclass(frozen=True)
 class MeshFaults:
-    """Result of :func:`inspect_mesh`.
+    """Numbers of a mesh's faults, from :func:`inspect_mesh`, which defines the kinds of edges.
 
     ``total``, ``degenerate`` and ``bad_indices`` count triangles, ``non_finite`` rows of the vertex arrays.
     """
@@ -176,7 +176,7 @@ def welded(mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
 def edge_pairs(corners: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the pairs (P, 2) of triangles that share an edge; n triangles at one edge form n - 1 pairs.
 
-    ``corners`` (M, 3) are vertex indices; with those of :func:`welded`, pairs across seams are found too.
+    ``corners`` (M, 3) are vertex indices; if they are welded (:func:`welded`), pairs across seams count too.
     """
     ends = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
     keys = ends[:, 0] * (int(corners.max(initial=0)) + 1) + ends[:, 1]
@@ -257,7 +257,7 @@ def lying_normals(mesh: Mesh) -> NDArray[np.bool_]:
 
 
 def flat_shaded(mesh: Mesh) -> Mesh:
-    """Return the mesh with three vertices of its own for each triangle, which have the triangle's normal."""
+    """Return the mesh with three unshared vertices per triangle, whose normals are the triangle's."""
     normal = unit_vectors(area_vectors(mesh.triangles()), [0.0, 0.0, 1.0])
     split = mesh.picked(mesh.faces.ravel(), np.arange(mesh.faces.size))
     return replace(split, normals=np.repeat(normal, 3, axis=0).astype(np.float32))
@@ -273,7 +273,7 @@ def compacted(mesh: Mesh) -> Mesh:
 
 
 def without_degenerate(mesh: Mesh) -> Mesh:
-    """Return the mesh without triangles of zero area and without the vertices that only those use."""
+    """Return the mesh without triangles of zero area and without vertices that only such triangles use."""
     keep = mesh.areas() > 0
     return mesh if keep.all() else mesh.submesh(keep)
 

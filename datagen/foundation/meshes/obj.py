@@ -20,7 +20,10 @@ _BLOCK = 1 << 16  # number of lines split into words at once, since words take t
 
 
 def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
-    """Read an OBJ file; equal corners (position, UV, normal) share a vertex. Raises :class:`InputError`."""
+    """Read an OBJ file; equal corners (position, UV, normal) share a vertex.
+
+    Raises :class:`InputError` for an unreadable or damaged file, or beyond the limits of ``budget``.
+    """
     budget = budget or Budget(path)
     data = budget.read_file(path, "a readable OBJ file")
     positions: list[bytes] = []
@@ -51,7 +54,7 @@ def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
 def number_table(lines: list[bytes], width: int, *, is_padded: bool = False) -> NDArray[np.float64]:
     """Return the first ``width`` numbers after the keyword of each of K lines, (K, width).
 
-    Missing numbers are 0 if ``is_padded``. Raises ``ValueError`` for other missing or invalid numbers.
+    Missing numbers become 0 if ``is_padded``, else raise ``ValueError``, as invalid numbers do.
     """
     blocks = [_block(lines[k : k + _BLOCK], width, is_padded) for k in range(0, len(lines), _BLOCK)]
     return np.concatenate(blocks) if blocks else np.zeros((0, width))
