@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Checks of an asset package beyond its schema: meshes, textures, lights and support surfaces.
 
-Errors make a package unusable. Non-manifold edges and flipped triangles are warnings, since most published
-scenes have some.
+Errors make a package unusable. Faults that most published scenes have, such as non-manifold edges and flipped
+triangles, are warnings.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ class Library:
 
 
 def find_packages(root: Path) -> list[Path]:
-    """List the paths of the packages at or below a folder, sorted; names that start with '.' are skipped."""
+    """List the packages in a folder, up to four levels deep, sorted; names starting with '.' are skipped."""
     if is_package(root):
         return [root]
     found: list[Path] = []
@@ -181,7 +181,7 @@ def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class AssetSummary:
-    """A row in the table of assets; ``detail``: category, classes, time of day, or a room's part counts."""
+    """A row in the table of assets; ``detail``: category, classes, time of day, or counts of a room's content."""
 
     id: str
     kind: AssetKind

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Rank-1 lattices for positions in a pixel (Dammertz and Keller, Image Synthesis by Rank-1 Lattices, 2008).
 
-The N points i / N (1, g) modulo 1 in the unit square have N equidistant coordinates along each axis, and with
-a suitable g they are about as far apart as N points can be. They therefore sample textures and edges of any
-direction more evenly than the first N points of a sequence: in three rooms, ground truth from 48 lattice
+The N points (i / N) (1, g) modulo 1 in the unit square have N equidistant coordinates along each axis, and
+with a suitable g they are about as far apart as N points can be. They therefore sample textures and edges of
+any direction more evenly than the first N points of a sequence: in three rooms, ground truth from 48 lattice
 points is as accurate as ground truth from 64 points of the R2 sequence.
 """
 
@@ -21,7 +21,7 @@ Array = Any
 
 @lru_cache
 def generator(num_points: int) -> tuple[int, int]:
-    """Return (1, g) / ``num_points``, in units of 2^-32, with the g of the largest minimum distance.
+    """Return (1, g) / ``num_points``, in units of 2^-32, for the g that maximises the minimum distance.
 
     Distances are measured on the torus, since lattices are shifted modulo 1.
     """

@@ -57,8 +57,8 @@ class SurfaceChannels:
 class SurfaceLobes:
     """BSDF of the ``channels`` at hits ``si``, without their opacity.
 
-    It is compiled once for all materials, whereas ``si.bsdf()`` would be an indirect call with a function
-    for each. Directions are in the frame of ``si``. With ``has_mapped_normals``, as in Mitsuba's
+    It is compiled once for all materials, whereas calls through ``si.bsdf()`` compile one function for each
+    material. Directions are in the frame of ``si``. With ``has_mapped_normals``, as in Mitsuba's
     ``normalmap``, no light is reflected through the unmapped surface, and light near its horizon is shadowed
     (Conty Estevez et al., A Microfacet-Based Shadowing Function to Solve the Bump Terminator Problem, 2019).
     """

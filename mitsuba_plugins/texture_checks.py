@@ -18,7 +18,7 @@ import numpy as np
 from datagen.foundation.errors import Problem, Problems, raise_problems
 
 TOLERANCE = 1e-4
-"""Maximum distance of values from [0, 1] that counts as an error of rounding or resampling and is clamped."""
+"""Maximum distance outside [0, 1] at which a value is attributed to rounding or resampling and clamped."""
 UV_TEXTURES = ("BitmapTexture", "Checkerboard")
 """Prefixes of the class names of textures that depend on UVs."""
 

@@ -44,7 +44,7 @@ def pose_and_scale(placed: PlacedAsset) -> tuple[NDArray[np.float64], tuple[floa
 class BopFiles:
     """Writer of one BOP scene per room; :meth:`finish` writes the numbered models of all objects.
 
-    Raises :class:`InputError` if the export has no library, which contains the models' meshes.
+    Raises :class:`InputError` if the export has no library from which the models' meshes can be read.
     """
 
     def __init__(self, export: Export):

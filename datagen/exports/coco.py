@@ -2,8 +2,8 @@
 """Writes boxes and masks in COCO's layout: ``images/<split>/*.png``, ``annotations/instances_<split>.json``.
 
 Masks are in COCO's compressed run-length encoding: the lengths of runs in column-major order, starting with
-background. From the fourth run on, the difference from the length two runs before is stored. Numbers are
-written in groups of five bits.
+background. From the fourth run on, each length is replaced by its difference from the length two runs before.
+The numbers are written in groups of five bits.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 
 flow(p) = project_b(unproject_a(p, depth_a(p))) - p, in pixels, for every pixel p of view a whose surface
 point is in front of camera b; elsewhere 1e10, the format's value for unknown flow. The mask is True where the
-point is visible in b: the surface that b shows at this position is of the same instance, near the point, and
-has a tangent plane through it.
+point is visible in b: the surface that b shows at this position is of the same instance and near the point,
+and its tangent plane passes through the point.
 """
 
 from __future__ import annotations

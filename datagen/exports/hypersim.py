@@ -40,7 +40,7 @@ def encode_hdf5(array: NDArray) -> bytes:
 
 
 def cam_from_uv(camera: Camera) -> NDArray[np.float64]:
-    """Return the (3, 3) matrix from (u, v, 1) in [-1, 1], u right and v up, to camera rays (-z forward)."""
+    """Return the (3, 3) matrix from (u, v, 1), u right and v up in [-1, 1], to camera rays (-z forward)."""
     half_width, half_height = camera.width_px / 2, camera.height_px / 2
     x = [half_width / camera.fx_px, 0.0, (half_width - camera.cx_px) / camera.fx_px]
     y = [0.0, half_height / camera.fy_px, (camera.cy_px - half_height) / camera.fy_px]

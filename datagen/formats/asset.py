@@ -73,7 +73,7 @@ MATERIAL_CHANNELS = (*MATERIAL_MAPS, "opacity", "normal")
 
 
 class Material(StrictModel):
-    """The three channels of the project's BSDF, opacity, normal map and emission.
+    """A material: D, S and R of the project's BSDF, opacity, normal map and emission.
 
     ``classes``: the first is the main class. ``tile_size_m``: length of one UV unit on a surface, for
     materials that may be assigned to any object; None for textures made for one mesh. ``normal``:

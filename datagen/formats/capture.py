@@ -30,8 +30,9 @@ CAPTURE_FILE = "capture.json"
 class Distortion(StrictModel):
     """Lens distortion in OpenCV's form, on normalised image coordinates.
 
-    ``brown``: k1 k2 p1 p2 k3 k4 k5 k6; ``polynomial``: k1 k2 p1 p2 k3 k4 without a denominator, where k4
-    multiplies r^8, as in RealityCapture and Metashape; ``fisheye``: k1 k2 k3 k4. Missing coefficients are 0.
+    The coefficients are k1 k2 p1 p2 k3 k4 k5 k6 for ``brown``, k1 k2 k3 k4 for ``fisheye``, and k1 k2 p1 p2
+    k3 k4 for ``polynomial``, which has no denominator: k4 multiplies r^8, as in RealityCapture and Metashape.
+    Missing coefficients are 0.
     """
 
     model: Literal["brown", "polynomial", "fisheye"]
@@ -126,7 +127,7 @@ class CaptureView:
 
 @dataclass(frozen=True)
 class GeometryPart:
-    """``num_faces`` triangles of a mesh from index ``first_face``; ``emission``: radiance in W/(m^2 sr)."""
+    """``num_faces`` triangles of a mesh from index ``first_face``; ``emission``: radiance, None if none."""
 
     name: str
     first_face: int

@@ -40,9 +40,9 @@ class PointLight(StrictModel):
 
 
 class SpotLight(StrictModel):
-    """Spotlight; ``intensity`` is in W/sr, constant inside ``beam_width_rad`` and 0 outside ``cutoff_rad``.
+    """Spotlight; ``intensity`` is in W/sr.
 
-    Both angles are measured from the axis.
+    It is constant inside ``beam_width_rad`` and falls to 0 at ``cutoff_rad``, both measured from the axis.
     """
 
     type: Literal["spot"] = "spot"

@@ -185,7 +185,7 @@ def open_package(path: str | Path, budget: Budget | None = None) -> Package:
 
 
 def is_package(path: Path) -> bool:
-    """Return whether a path is a folder with ``asset.json`` or a zip that contains exactly one."""
+    """Return whether a path is a folder with ``asset.json``, or a zip with one at its root or in a folder."""
     if path.is_dir():
         return (path / ASSET_FILE).is_file()
     if path.suffix.lower() != ZIP_SUFFIX or not path.is_file():

@@ -268,7 +268,8 @@ class RenderRecipe(StrictModel):
     maximum number of segments of a path (default 8). If ``max_energy_left`` is given instead, the number
     follows from the scene's albedo so that at most that share of the light is truncated; cached irradiance
     includes any number of bounces. ``russian_roulette_depth``: number of segments from which Russian roulette
-    may end a path. ``keep_noisy``: also store the image before denoising. ``variant``: Mitsuba's.
+    may end a path. ``denoise`` applies to the beauty image; ``keep_noisy``: also store it before denoising.
+    ``variant``: Mitsuba variant; ``auto`` uses CUDA if there is a GPU, else LLVM.
     """
 
     variant: Literal["auto", "llvm_ad_rgb", "cuda_ad_rgb"] = "auto"

@@ -84,7 +84,7 @@ class RenderRecord(StrictModel):
 
 
 class StatisticsRecord(StrictModel):
-    """Number of candidate views of a view's statistics, and options (``datagen.formats.recipe``)."""
+    """Number of candidate views, and options as in ``StatisticsRecipe``, of a view's statistics."""
 
     num_views: int
     best_views: int

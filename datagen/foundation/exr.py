@@ -68,7 +68,7 @@ def encode_view(buffers: Mapping[str, NDArray[Any]], compression: str = "zip", n
 def encode_channels(
     channels: Mapping[str, NDArray[Any]], compression: str = "zip", num_threads: int = 0
 ) -> bytes:
-    """Encode channels by name, (H, W) or (H, W, 3) for the name ``RGB``, as the bytes of one EXR file."""
+    """Encode channels as the bytes of one EXR file: arrays (H, W) by name, or (H, W, 3) for ``RGB``."""
     header = {"compression": COMPRESSIONS[compression], "type": OpenEXR.scanlineimage}
     stream = io.BytesIO()
     planes = {name: np.ascontiguousarray(pixels) for name, pixels in channels.items()}

@@ -90,7 +90,7 @@ class Bars:
         self._bars.stop()
 
     def tell(self, stage: str, done: int, total: int, note: str = "") -> None:
-        """Show ``done`` of ``total`` steps of a stage; its rate excludes steps done at the first call."""
+        """Show ``done`` of ``total`` steps of a stage; the rate excludes steps done before the first call."""
         if self.is_quiet:
             return
         now = time.monotonic()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Versions of the software that affects pixels, recorded with results and hashed in the key of a unit."""
+"""Versions of the software that affects pixels, recorded with results and hashed in each unit's key."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ it. Occlusion is tested in one of two ways:
 - ``depth`` compares z with the view's depth buffer at the pixel that p projects into. With n' the normal in
   camera space, a step of one pixel changes the depth of p's tangent plane by
   z' = z (|n'_x| / f_x + |n'_y| / f_y) / |n' . (x/z, y/z, 1)|, and p counts as visible if
-  |z_buffer - z| <= tolerance * z + min(slope_tolerance_px * z', slope_limit * z).
+  |z_buffer - z| <= depth_tolerance * z + min(slope_tolerance_px * z', slope_limit * z).
   The test is two-sided: if the buffer's depth is far *beyond* p, the pixel's centre misses p's surface, so
   the pixel's colour is not that of p.
 - ``trace`` casts a shadow ray from the camera into the scene's geometry; it ends before p by the share

@@ -26,7 +26,7 @@ DenoiserMode = Literal["none", "fast", "balanced", "high", "unguided", "optix"]
 
 @dataclass(frozen=True)
 class Setting:
-    """Options for rendering, processing and storing a view.
+    """Options for rendering, processing and storing a view; fields named as in a recipe mean the same.
 
     ``quality``, if not '', overrides the fields for samples, clamp, irradiance cache and auxiliary samples.
     ``firefly_clamp`` 0 clamps nothing. ``irradiance_cache`` 1 ends paths in cached irradiance.
@@ -116,11 +116,10 @@ def base_setting(variant: str) -> Setting:
 
 
 def planned_settings(base: Setting, sweeps: tuple[str, ...], with_factorial: bool) -> list[Setting]:
-    """List ``base``, its sweeps and, if ``with_factorial`` and not on CUDA, the factorial design, without
-    duplicates.
+    """List ``base``, its sweeps and, if ``with_factorial`` and not on CUDA, the factorial design.
 
-    A sweep varies one field: its name, for default values, or ``NAME=VALUE,VALUE``. Raises
-    :class:`InputError` with all invalid sweeps.
+    Each of ``sweeps`` varies one field: ``NAME`` with the values of :data:`SWEEPS`, or ``NAME=VALUE,VALUE``.
+    Duplicates are removed. Raises :class:`InputError` with all invalid sweeps.
     """
     settings, problems = [base], []
     for text in sweeps:

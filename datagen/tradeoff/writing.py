@@ -204,8 +204,10 @@ def sweeps_figure(points: Sequence[Point], base: Setting) -> Figure | None:
 
 
 def _one_at_a_time(points: Sequence[Point], base: Setting, name: str) -> list[Point]:
-    """Select the base and the points that differ from it only in field ``name``, sorted by its value; strings
-    are in the order of :data:`SWEEPS`, those not in it (the denoiser of a GPU) last."""
+    """Select the base and the points that differ from it only in field ``name``, sorted by its value.
+
+    Strings are sorted as in :data:`SWEEPS`; those not in it, such as the denoiser of a GPU, are last.
+    """
     some = [p for p in points if set(p.setting.differences(base)) <= {name}]
     order = {value: k for k, value in enumerate(SWEEPS[name]) if isinstance(value, str)}
 

@@ -20,7 +20,7 @@ MITSUBA_FROM_CAMERA = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def guess_up(scene: MitsubaScene) -> Literal["y", "z"]:
-    """Return the scene's up axis: y or z, whichever the first sensor's up vector is closer to; y if none."""
+    """Return the axis, y or z, to which the first sensor's up vector is closer; y if there are no sensors."""
     for sensor in scene.all_of("sensor"):
         up = sensor.to_world()[:3, 1]
         return "z" if abs(up[2]) > abs(up[1]) else "y"
