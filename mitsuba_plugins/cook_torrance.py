@@ -202,7 +202,7 @@ class Lobes:
         # The sampling density must not add derivatives to eval or to the weights of detached sampling.
         specular, diffuse = dr.detach(self.specular), dr.detach(self.diffuse)
         grazing = _fifth_power(1.0 - dr.maximum(dr.detach(self.wi.z), 0.0))
-        specular_energy = dr.sum(specular + (1.0 - specular) * grazing)  # of three channels
+        specular_energy = dr.sum(specular + (1.0 - specular) * grazing)  # sum over channels, as below
         diffuse_energy = dr.sum(diffuse)
         total = specular_energy + diffuse_energy
         share = specular_energy / dr.select(total > 0.0, total, 1.0)

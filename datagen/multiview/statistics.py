@@ -205,7 +205,7 @@ def choose_for_pixels(
     pixel = dr.arange(mi.UInt32, view.camera.width_px * view.camera.height_px)
     mask = dr.gather(mi.Bool, mi.Bool(aligned(has_surface(view.depth_z_m, view.surface_mask))), pixel)
     normals = vectors_from_rows(view.normal_world.reshape(-1, 3))
-    normals *= dr.rsqrt(dr.maximum(dr.squared_norm(normals), 1e-12))  # averaged at edges, zero on background
+    normals *= dr.rsqrt(dr.maximum(dr.squared_norm(normals), 1e-12))  # shorter at edges (averaged)
     own_pixel = first + pixel
 
     points = _unproject(packed, own, pixel, dr.gather(mi.Float, packed.depth, own_pixel))

@@ -178,7 +178,7 @@ def project(views: PackedViews, view: mi.UInt32, points: mi.Point3f) -> Projecti
 
 
 def max_distance(views: PackedViews, points: mi.Point3f) -> mi.Float:
-    """Distance [m] from each point to the farthest camera, whether it is visible or not (*traced*)."""
+    """Distance [m] from each point to the farthest camera, regardless of visibility (*traced*)."""
     import drjit as dr
     import mitsuba as mi
 

@@ -103,7 +103,7 @@ def measure(configuration: Configuration, library: Library, reference: Reference
     renderer = SceneRenderer(at_size, library, setting.recipe(), caches, _denoiser(setting))
     build_cpu_s = time.process_time() - start
     preparing, watch = Stopwatch(), Stopwatch()
-    with preparing.stage("learn"):  # repeated, without compilation
+    with preparing.stage("learn"):  # repeated, since the first preparation included compilation
         renderer.prepare_paths()
     renderer.render_view(0)
     rendered = []
