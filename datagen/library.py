@@ -181,7 +181,7 @@ def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class AssetSummary:
-    """A row in the table of assets; ``detail``: category, classes, time of day, or counts of a room's content."""
+    """A row in the table of assets; ``detail``: category, classes, time of day, or counts of room content."""
 
     id: str
     kind: AssetKind

@@ -33,9 +33,7 @@ Z_UP_FROM_Y_UP = affine([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Rotation from +Y up to +Z up: (x, y, z) becomes (x, -z, y)."""
 
 MITSUBA_FROM_ENVIRONMENT = affine([[-1, 0, 0], [0, 0, 1], [0, 1, 0]])
-"""Rotation from the project's environment frame (image centre +Y, top +Z) to Mitsuba's (+Z, +Y).
-
-It is its own inverse."""
+"""Rotation from the project's environment frame (centre +Y, top +Z) to Mitsuba's (+Z, +Y); self-inverse."""
 
 
 def rotation(axis: str, angle_rad: float) -> NDArray[np.float64]:

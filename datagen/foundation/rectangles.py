@@ -23,8 +23,7 @@ def rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[t
 def largest_rectangle(mask: NDArray[np.bool_], min_side: int = 1) -> tuple[int, int, int, int]:
     """Return (x0, x1, y0, y1) of the largest all-True rectangle ``mask[x0:x1, y0:y1]``; zeros if none.
 
-    Sides are at least ``min_side``. Each row is searched as a histogram, whose bars are the runs of True that
-    end in this row.
+    Sides are at least ``min_side``. Each row is searched as a histogram of the runs of True that end in it.
     """
     best, result = 0, (0, 0, 0, 0)
     heights = np.zeros(mask.shape[1] + 1, dtype=np.int64)  # the last stays 0, which ends every open rectangle

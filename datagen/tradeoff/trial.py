@@ -71,7 +71,7 @@ class Stopwatch:
 class Trial:
     """Result of a setting on a configuration, with errors and seconds as defined by this module.
 
-    ``passes_wall_s``: seconds per pass of the renderer; ``build_cpu_s``: seconds to build the scene.
+    ``passes_wall_s``: seconds by pass of the renderer; ``build_cpu_s``: processor seconds to build the scene.
     """
 
     configuration: str

@@ -20,10 +20,7 @@ _BLOCK = 1 << 16  # number of lines split into words at once, since words take t
 
 
 def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
-    """Read an OBJ file; equal corners (position, UV, normal) share a vertex.
-
-    Raises :class:`InputError` for an unreadable or damaged file, or beyond the limits of ``budget``.
-    """
+    """Read an OBJ file, merging equal corners. Raises :class:`InputError` if it is damaged or too large."""
     budget = budget or Budget(path)
     data = budget.read_file(path, "a readable OBJ file")
     positions: list[bytes] = []
