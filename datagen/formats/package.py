@@ -312,9 +312,9 @@ def write_package(
 
     ``files`` maps names inside the package to bytes or to files on disk; it must contain every file that the
     asset names and may contain more (a licence text, a preview). ``validate`` is called with the package
-    before it gets its final path, and may raise. Equal content produces equal zip bytes. Raises
-    :class:`InputError` if ``path`` exists and ``overwrite`` is not set, or if a named file is missing from
-    ``files``.
+    before it gets its final path, and may raise an error, so that nothing is written. Equal content produces
+    equal zip bytes. Raises :class:`InputError` if ``path`` exists and ``overwrite`` is not set, or if a named
+    file is missing from ``files``.
     """
     path = Path(path)
     if path.exists() and not overwrite:
@@ -389,7 +389,7 @@ def _remove(path: Path) -> None:
 
 
 def _replace(partial: Path, path: Path) -> None:
-    """Rename ``partial`` to ``path``; an existing folder, which a rename cannot replace, is moved away."""
+    """Rename ``partial`` to ``path``; an existing folder, which a rename cannot replace, is removed."""
     if path.is_dir() and not path.is_symlink():
         old = path.with_name(f".{path.name}.{os.getpid()}.old")
         _remove(old)

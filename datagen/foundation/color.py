@@ -112,7 +112,7 @@ def clipped_share(linear_rgb: NDArray[Any], exposure: float, valid_mask: NDArray
 
 
 def color_of_temperature(kelvin: float) -> tuple[float, float, float]:
-    """Return a black body's Rec.709 colour of luminance 1 (Kim 2002), with ``kelvin`` clamped to 1667..25000."""
+    """Return a black body's Rec.709 colour of luminance 1 (Kim 2002); clamps ``kelvin`` to 1667..25000."""
     t = min(max(kelvin, 1667.0), 25000.0)
     if t < 4000:
         x = -0.2661239e9 / t**3 - 0.2343589e6 / t**2 + 0.8776956e3 / t + 0.179910

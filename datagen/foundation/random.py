@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Random numbers that depend only on a key, not on the order of work, workers, hash seeds or NumPy's version.
+"""Random numbers that depend only on a key, not on scheduling, process count, hash seeds or NumPy's version.
 
 Every random choice in a configuration is drawn from a :class:`Draws` keyed by (recipe seed, configuration,
 purpose, index). It uses only the raw Philox stream, which NumPy guarantees not to change; the distributions

@@ -201,7 +201,7 @@ def read_trial(path: Path) -> Trial:
 
 @contextmanager
 def _worker() -> Iterator[ProcessPoolExecutor]:
-    """Yield a pool of one new process, since a process is bound to a variant; ``RuntimeError`` if it dies."""
+    """Yield a pool of one new process, for one Mitsuba variant. Raises ``RuntimeError`` if it dies."""
     pool = ProcessPoolExecutor(1, get_context("spawn"), _start_worker)
     try:
         yield pool

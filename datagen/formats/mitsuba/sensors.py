@@ -30,7 +30,7 @@ def guess_up(scene: MitsubaScene) -> Literal["y", "z"]:
 def camera_of(
     node: SceneNode, number: int, asset_from_source: NDArray[np.float64], findings: Findings
 ) -> AssetCamera:
-    """Convert a sensor to a pinhole camera; ``findings`` lists omitted apertures, film crops and mirroring.
+    """Convert a sensor to a pinhole camera; add ignored apertures, film crops and mirroring to ``findings``.
 
     ``asset_from_source`` (4, 4) is the rotation to Z up times the unit scale.
     """
