@@ -7,7 +7,7 @@ Two kinds of buffer are computed in one kernel with one thread per pixel:
   ``spp`` sub-pixel samples with the film's reconstruction filter, as the beauty image is. The average is over
   reflecting surface only; ``surface_mask`` is its share of the pixel. Normals are renormalised after
   averaging.
-* *at the centre*: depth_z_m, position_world, instance_id and material_id are those of one ray through the
+* *at the centre*: depth_z_m, position_world, instance_id and material_id are taken from one ray through the
   centres of pixel and lens, because means of depths or of ids would be meaningless.
 
 Sub-pixel offsets are importance-sampled: in proportion to the absolute value of the filter, whose sign is the
@@ -197,7 +197,7 @@ def _trace(view: _View, ray: Any) -> _RayResult:
 def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[_RayResult, Any]:
     """Return filter-weighted sums over the samples of each pixel, and the sums of the filter weights.
 
-    Point and shape index are those of sample 0, at the pixel's centre and with weight 0. It is part of the
+    Point and shape index are taken from sample 0, at the pixel's centre with weight 0. It is part of the
     loop so that the scene's intersection code is compiled only once.
     """
     pixel: Any = mi.UInt32(y) * view.width + mi.UInt32(x)
@@ -306,7 +306,7 @@ def render_material_buffers(
 class MaterialBuffers(mi.SamplingIntegrator):
     """The integrator ``material_buffers``: all channels of :data:`CHANNELS` as one tensor (H, W, 17).
 
-    Parameter ``hide_emitters`` (default false). Ids are those of ``integrator.ids`` or, if that is None, of
+    Parameter ``hide_emitters`` (default false). Ids are from ``integrator.ids`` or, if that is None, from
     :func:`mitsuba_plugins.surface_material.number_shapes`. Ids below 2^24 are exact as floats.
     """
 

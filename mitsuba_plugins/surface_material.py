@@ -319,7 +319,7 @@ class SceneMaterials:
     # ---- inside kernels ----------------------------------------------------------------------------------
 
     def tables(self) -> list[Any]:
-        """Return the arrays that kernels read in :meth:`channels_at` in addition to those of the scene."""
+        """Return the arrays that kernels read in :meth:`channels_at` besides the arrays of the scene."""
         return [self._evaluator_of_shape]
 
     def _registry_index(self, si: mi.SurfaceInteraction3f) -> Array:

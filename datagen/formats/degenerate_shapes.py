@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Detection of rectangles without area and zero directions in lights, light slots, openings and supports."""
+"""Detection of zero directions and rectangles without area in lights, light slots, openings and supports."""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ class Variation(StrictModel):
 
 
 class MaterialRecipe(AssetFilter):
-    """Probabilities that the material of a slot is replaced or varied, and options of both.
+    """Options for replacing and varying the materials of slots; both probabilities are per slot.
 
     ``variation``: weights of the modes; only ``wild`` by default, for compatibility. In ``wild`` mode,
     ``any_class_probability`` is the probability that a replacement ignores the classes that suit the slot (a
@@ -269,7 +269,7 @@ class RenderRecipe(StrictModel):
     follows from the scene's albedo so that at most that share of the light is truncated; cached irradiance
     includes any number of bounces. ``russian_roulette_depth``: number of segments from which Russian roulette
     may end a path. ``denoise`` applies to the beauty image; ``keep_noisy``: also store it before denoising.
-    ``variant``: Mitsuba variant; ``auto`` uses CUDA if there is a GPU, else LLVM.
+    ``variant``: Mitsuba variant; ``auto``: that of :func:`mitsuba_plugins.variant.select_variant`.
     """
 
     variant: Literal["auto", "llvm_ad_rgb", "cuda_ad_rgb"] = "auto"

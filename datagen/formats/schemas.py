@@ -37,7 +37,7 @@ def json_schemas() -> dict[str, dict[str, Any]]:
 
 
 def write_schemas(folder: Path, schemas: dict[str, dict[str, Any]] | None = None) -> list[Path]:
-    """Write ``<name>.schema.json`` for each format, by default those of ``datagen``; return the files."""
+    """Write ``<name>.schema.json`` for each of ``schemas`` (:func:`json_schemas`); return the files."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for name, schema in (schemas or json_schemas()).items():

@@ -12,7 +12,7 @@ it. Occlusion is tested in one of two ways:
   z' = z (|n'_x| / f_x + |n'_y| / f_y) / |n' . (x/z, y/z, 1)|, and p counts as visible if
   |z_buffer - z| <= depth_tolerance * z + min(slope_tolerance_px * z', slope_limit * z).
   The test is two-sided: if the buffer's depth is far *beyond* p, the pixel's centre misses p's surface, so
-  the pixel's colour is not that of p.
+  the pixel has the colour of another surface.
 - ``trace`` casts a shadow ray from the camera into the scene's geometry; it ends before p by the share
   ``trace_tolerance / max(n . omega_i, 0.05)`` of the distance.
 

@@ -3,7 +3,7 @@
 
 For each view, a reference contains two independent images (whose noise hardly affects the expectation of
 errors, see ``datagen.rendering.error``), maps from many samples, and statistics over all views. The
-statistics use the denoised mean of both images, traced visibility and the maximum number of best views.
+statistics use the denoised mean of the two images, traced visibility and the maximum number of best views.
 The name of a reference is a hash of everything that affects it, so it is never reused for another library,
 configuration, resolution, sample count or renderer.
 """

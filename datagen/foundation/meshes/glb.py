@@ -48,7 +48,7 @@ class GlbWriter:
         return len(self.accessors) - 1
 
     def image(self, content: bytes, kind: str = "image/png") -> int:
-        """Add an image of the media type ``kind``; return its index, which is also that of its texture."""
+        """Add an image of the media type ``kind``; return its index, also the index of its texture."""
         self.images.append({"bufferView": self._view(content), "mimeType": kind})
         return len(self.images) - 1
 

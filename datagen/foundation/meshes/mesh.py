@@ -221,7 +221,7 @@ def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
 def with_sound_normals(mesh: Mesh) -> tuple[Mesh, int]:
     """Return the mesh with valid normals, and the number of normals that were replaced.
 
-    Zero, NaN and missing normals become those of :func:`vertex_normals`; missing ones are not counted. A
+    Zero, NaN and missing normals are taken from :func:`vertex_normals`; missing ones are not counted. A
     normal in the plane of its triangle (within ``LYING_COSINE``) may be parallel to the tangent, so that no
     shading frame exists; at that corner, the triangle's normal replaces it.
     """
