@@ -127,7 +127,7 @@ class CaptureView:
 
 @dataclass(frozen=True)
 class GeometryPart:
-    """``num_faces`` triangles of a mesh from index ``first_face``; ``emission``: radiance, None if none."""
+    """``num_faces`` triangles of a mesh from index ``first_face``; ``emission``: an emitter's radiance."""
 
     name: str
     first_face: int

@@ -2,8 +2,8 @@
 """Resource limits for untrusted files: all readers of an import charge one budget.
 
 A small file can expand to a large amount of data: references that fan out, a mesh placed a million times,
-compressed zeros. Limits apply to the expanded data; the limits of triangles, pairs, pixels and bytes grow with
-the files, so that large files are not refused for being large. The defaults keep the cost of a small
+compressed zeros. Limits apply to the expanded data; the limits of triangles, pairs, pixels and bytes grow
+with the files, so that large files are not refused for being large. The defaults keep the cost of a small
 file below 10 s and 1 GB. Users who trust a file can raise a limit:
 
     SCENE_MATERIALS_LIMITS=instances=50000,triangles=8000000 datagen import forest.gltf --library my-library
