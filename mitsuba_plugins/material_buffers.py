@@ -147,7 +147,7 @@ def _empty_result(num_rays: int) -> _RayResult:
 
 
 def _trace_surface(view: _View, ray: Any, active: Array) -> tuple[Any, Any, _RayResult]:
-    """Return a ray's next hit, whether the ray may continue, and the hit's channels (coverage: opacity)."""
+    """Return a ray's next hit, whether the ray may continue, and the hit's opacity-weighted channels."""
     # Camera rays are coherent, which makes Embree's packets three times as fast.
     si = view.scene.ray_intersect(ray, mi.RayFlags.All, coherent=True, active=active)
     is_hit = active & si.is_valid()

@@ -89,7 +89,7 @@ class BakeSession:
         return block
 
     def discard(self, block: Any) -> None:
-        """Remove a datablock of this session now."""
+        """Remove an owned datablock before exit."""
         for index, (collection, owned) in enumerate(self._created):
             if owned == block:
                 del self._created[index]

@@ -43,7 +43,7 @@ class BakedTexture:
 def padded_window(low: NDArray, high: NDArray) -> Window:
     """Window (u0, v0, u1, v1) of texture coordinates: the box from ``low`` to ``high`` (2,), plus a margin.
 
-    With the margin, repeating lookups in textures of 16 texels or more never read the opposite border.
+    With the margin, lookups that wrap never read the opposite border in textures of 16 texels or more.
     """
     size = np.maximum(high - low, 1e-3)
     middle = (low + high) / 2

@@ -31,7 +31,7 @@ def _matrix(thing: bpy.types.Object, metres_per_unit: float) -> NDArray[np.float
 
 
 def rectangle_of(thing: bpy.types.Object, metres_per_unit: float) -> Rectangle:
-    """Origin and edges (3,) [m] of the rectangle that a marker spans in its local XY plane, at its top.
+    """Origin and edges (3,) [m] of a marker's local XY extent, at the top of a mesh, else at z = 0.
 
     edge_u x edge_v points along the marker's +Z, or, for an area light, along -Z, its direction of emission.
     """

@@ -205,8 +205,8 @@ def _estimated(
     """Estimate the radiance of unphotographed surfaces, the share of light from unphotographed lamps, and the
     sun.
 
-    The estimated radiance is the typical reflectance of the smooth region times the incident light times a
-    gain, which is fitted to the diffuse part of the photographed radiance, given by the surfels ``diffuse``.
+    A surface's estimate is its smooth region's typical reflectance times its incident light times a gain.
+    Gains are fitted to ``diffuse``, surfels with only the diffuse part of the photographed radiance.
     """
     no_sunlight = np.zeros((len(surfels), 3), np.float32)
     if not options.estimates_unseen:

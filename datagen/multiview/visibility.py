@@ -13,8 +13,8 @@ it. Occlusion is tested in one of two ways:
   |z_buffer - z| <= depth_tolerance * z + min(slope_tolerance_px * z', slope_limit * z).
   The test is two-sided: if the buffer's depth is far *beyond* p, the pixel's centre misses p's surface, so
   the pixel has the colour of another surface.
-- ``trace`` casts a shadow ray from the camera into the scene's geometry; it ends before p by the share
-  ``trace_tolerance / max(n . omega_i, 0.05)`` of the distance.
+- ``trace`` casts a shadow ray from the camera into the scene's geometry; it stops short of p by
+  ``trace_tolerance / max(n . omega_i, 0.05)`` times the distance.
 
 Functions marked *traced* take and return Dr.Jit arrays and may be called inside a kernel; the view index is
 an array, never a literal, so one compiled kernel serves any number of views. The pixels of all views are

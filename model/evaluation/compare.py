@@ -35,7 +35,7 @@ def read_other(path: Path) -> SuiteResult:
 def comparison(this: SuiteResult, other: SuiteResult) -> Table:
     """Table of the differences between two runs.
 
-    Raises :class:`InputError` if they have no scene and method in common with at least two judged views.
+    Raises :class:`InputError` unless, for a scene and method, the runs share at least two judged views.
     """
     rows: list[Row] = []
     earlier = {scene.name: scene for scene in other.scenes}

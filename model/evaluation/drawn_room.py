@@ -53,8 +53,8 @@ def draw_room(
     num_views: int,
     num_novel: int,
 ) -> Configuration:
-    """Draw configuration ``index`` of the recipe at ``source``, with ``num_views`` cameras view-000 ... and
-    ``num_novel`` cameras path-000 ... on a walk; ``resolution`` is the images' (width, height).
+    """Draw configuration ``index`` of the recipe at ``source`` with ``num_views`` cameras (view-000, ...) and
+    ``num_novel`` on a walk between two of them (path-000, ...), at ``resolution`` (width, height).
 
     Raises :class:`InputError` if the recipe is invalid, has no such configuration, or generates its rooms.
     """

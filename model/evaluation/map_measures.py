@@ -60,10 +60,10 @@ class MapMeasures:
         rendered: JudgedView | None = None,
         confidence: NDArray | None = None,
     ) -> None:
-        """Add the maps (H, W, C) of a view, by name, with the kinds of its ``surfaces``.
+        """Add errors of a view's ``maps`` (H, W, C), split by the kinds in ``surfaces``.
 
         ``rendered`` is the view of the recovered scene if the maps are rendered from it: pixels where it has
-        no surface are excluded, and its emission is compared. ``confidence`` (H, W, 3) is of D, S and R.
+        no surface are excluded, and its emission is compared. ``confidence`` (H, W, 3): of D, S and R.
         """
         mask = truth.surface_mask if rendered is None else truth.surface_mask & rendered.surface_mask
         errors = {n: ((maps[n].astype(np.float64) - truth.maps[n]) ** 2).mean(axis=2) for n in MATERIAL_MAPS}

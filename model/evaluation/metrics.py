@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Image metrics and their conventions; metrics of maps are in ``map_measures``.
 
-Both images are multiplied by one exposure, clipped to [0, 1] and sRGB-encoded. PSNR has the data range 1,
+Both images are multiplied by one exposure, clipped to [0, 1] and sRGB-encoded. PSNR has data range 1,
 SSIM an 11 x 11 Gaussian window of sigma 1.5 (Wang et al. 2004), averaged over channels; DSSIM is 1 - SSIM;
 LPIPS is LPIPS-VGG 0.1. Each is computed per view and averaged. Metrics *with a gain* are computed after
 multiplying all rendered images by the median ratio of true to rendered luminance over surface pixels.

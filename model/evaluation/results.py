@@ -90,7 +90,7 @@ class SceneResult(StrictModel):
     methods: tuple[MethodResult, ...]
 
     def by_camera(self) -> list[tuple[str, SceneResult]]:
-        """Pairs of the name of camera faults ('' for none) and the results on photographs with them."""
+        """Results by camera faults, as pairs (their name or '', results on photographs with them)."""
         cameras = dict.fromkeys(method.camera for method in self.methods)
         chosen = ((c, tuple(m for m in self.methods if m.camera == c)) for c in cameras)
         return [(camera, self.model_copy(update={"methods": methods})) for camera, methods in chosen]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Kinds of surface in the judged views, such as metal, white walls and small objects.
+"""Kinds of surface in evaluated views, such as metal, white walls and small objects.
 
 By its true maps, a surface is ``metal`` (mean S > 0.2) or otherwise ``glossy`` (R < 0.4) or ``matt`` (R >=
 0.4); if not metal, it may also be ``white`` (D > 0.7 in every channel). By the true mesh, it may be ``small``

@@ -456,7 +456,7 @@ def soft_box(
 
 
 def pillow(size: Point, steps: int = 14, pinch: float = 0.07, wrinkle: float = 0.003, seed: int = 0) -> Shape:
-    """A pillow on z = 0 with a thin seam and pointed corners; sides curve inwards by the share ``pinch``."""
+    """A pillow on z = 0 with a thin seam and pointed corners; sides curve in by ``pinch`` half-widths."""
     t = np.linspace(-1, 1, 2 * steps + 1)
     t = np.sign(t) * np.sin(np.abs(t) * np.pi / 2)
     u, v = np.meshgrid(t, t)

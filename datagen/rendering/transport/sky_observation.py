@@ -44,7 +44,7 @@ class SkyObservations:
         return np.minimum(self.radiance, np.percentile(self.radiance, RADIANCE_PERCENTILE))
 
     def sky_share(self) -> float:
-        """Share, in [0, 1], of the sky without its sun in the direct light at the points."""
+        """Share, in [0, 1], of the direct light at the points that is from the sky without its sun."""
         if not self.radiance.size:
             return 0.0
         sky = np.pi * float(self.clamped_radiance().sum()) / len(self.points_m)

@@ -45,7 +45,7 @@ class BracketSource:
 
 
 def merged(images: Sequence[ColorImage], scales: Sequence[float]) -> ColorImage:
-    """Merge ``images`` of one size at one exposure; ``scales`` are the factors by which they were multiplied.
+    """Merge ``images`` of one size; ``scales`` are the factors that brought them to one exposure.
 
     Pixels clipped in all images get the value of the shortest exposure, which is the highest lower bound.
     """

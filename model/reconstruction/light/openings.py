@@ -127,7 +127,7 @@ def found_openings(
 def divide_openings(
     openings: Sequence[FoundPatch], surfels: Surfels, diffuse: NDArray[np.float32]
 ) -> tuple[tuple[FoundPatch, ...], tuple[FoundPatch, ...]]:
-    """Divide openings into windows and holes by the ``diffuse`` shading (N, 3) of the surfels around them."""
+    """Divide openings into windows, brighter than ``diffuse`` shading (N, 3) of nearby surfels, and holes."""
     white, tree = diffuse @ LUMINANCE_WEIGHTS, cKDTree(surfels.position_m)
     windows: list[FoundPatch] = []
     holes: list[FoundPatch] = []

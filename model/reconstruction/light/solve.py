@@ -118,8 +118,8 @@ class SolvedSegments:
     """Materials of G segments.
 
     ``specular_albedo`` (G, 3); ``roughness`` (G,); ``is_metal`` (G,); ``residual`` (G,): cost without priors;
-    ``confidence`` (G, 3) of D, S and R in [0, 1], which decreases with the residual and, for R, with the
-    variance over the likely hypotheses.
+    ``confidence`` (G, 3) of D, S and R in [0, 1], which decreases with the residual and, for R of
+    dielectrics, with R's variance over hypotheses.
     """
 
     specular_albedo: NDArray[np.float32]
