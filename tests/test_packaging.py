@@ -185,4 +185,4 @@ def test_the_doctor_detects_absent_checkpoints(monkeypatch: pytest.MonkeyPatch) 
 
     assert doctor.checkpoint_finding().is_fine
     monkeypatch.setattr(doctor, "CHECKPOINTS", ("small.safetensors", "large.safetensors"))
-    assert doctor.checkpoint_finding().value == "without large.safetensors"
+    assert doctor.checkpoint_finding().value == "missing: large.safetensors"

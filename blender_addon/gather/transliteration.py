@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Transliteration to ASCII for ids and file names: Küche becomes Kueche, Öl-Eiche Oel-Eiche.
 
-German umlauts become two letters; other accents are removed; letters that do not decompose into a base letter
-and an accent (ø, ł, ß), and Greek and Cyrillic letters, are looked up in tables. Letters of other alphabets
-become their code points, so that names in them stay distinct.
+German umlauts become two letters; other accents are removed. Tables map Greek, Cyrillic and those Latin
+letters that cannot be decomposed into a base letter and an accent (ø, ł, ß). Letters of other alphabets
+become their code points, so that distinct names stay distinct.
 """
 
 from __future__ import annotations

@@ -31,14 +31,14 @@ _TABLE = {**_LATIN, **_GREEK, **_CYRILLIC}
 
 
 def transliterated(text: str) -> str:
-    """Return ``text`` in ASCII; punctuation of other alphabets becomes a space."""
+    """Return ``text`` in ASCII; symbols without a counterpart become spaces."""
     text = unicodedata.normalize("NFC", text)
     neighbours = zip(text, f" {text}", f"{text[1:]} ", strict=False)
     return "".join(_letters(c, after.isupper() or before.isupper()) for c, before, after in neighbours)
 
 
 def _letters(letter: str, is_in_capitals: bool) -> str:
-    """Return the ASCII form of a letter; if ``is_in_capitals``, a capital becomes capitals (AE, not Ae)."""
+    """Return the ASCII form of a letter: Ä becomes AE if ``is_in_capitals`` (next to a capital), else Ae."""
     if letter.isascii():
         return letter
     small = letter.lower()

@@ -387,7 +387,7 @@ def test_a_bad_view_is_named_and_refused_or_skipped(tmp_path, change, message):
 
 
 def test_another_resolution_than_the_rest_is_refused(shard):
-    with pytest.raises(InputError, match="64 x 48; expected 128 x 96 as the rest"):
+    with pytest.raises(InputError, match="64 x 48; expected 128 x 96 as in the rest"):
         load_view(index_shard(shard)[0], NAMES, size_px=(128, 96))
     with pytest.raises(InputError, match="at least the crop"):
         load_view(index_shard(shard)[0], NAMES, min_side_px=64)
