@@ -420,17 +420,19 @@ def figure_of(results: list[dict[str, Any]]) -> Figure:
     panels = figure.subplots(1, len(results), squeeze=False, sharex=True, sharey=True)[0]
     for axes, result in zip(panels, results, strict=True):
         ours, cycles = result["qualities"], result["cycles"]
-        speeds, errors = ([found[key] for found in ours.values()] for key in ("images_an_hour", "rel_mse"))
-        axes.plot(speeds, errors, "*", ms=12, color="#009e73", label="named qualities")
-        for name, speed, error in zip(ours, speeds, errors, strict=True):
-            axes.annotate(name, (speed, error), (8, 5), textcoords="offset points", fontsize=9)
-        speeds, errors = list(cycles["images_an_hour"].values()), list(cycles["curve"].values())
-        axes.plot(speeds, errors, "o-", ms=4, color="#0072b2", label=f"Cycles {cycles['blender']}, samples")
-        for samples, speed, error in zip(cycles["curve"], speeds, errors, strict=True):
-            axes.annotate(samples, (speed, error), (5, 3), textcoords="offset points", fontsize=7)
-        axes.set(
-            xscale="log", yscale="log", xlabel="images an hour", title=f"seed {result['recipe']['seed']}"
-        )
+        qualities = {name: (found["images_an_hour"], found["rel_mse"]) for name, found in ours.items()}
+        counts = {
+            samples: (speed, cycles["curve"][samples]) for samples, speed in cycles["images_an_hour"].items()
+        }
+        for points, style, label in (
+            (qualities, {"marker": "*", "ls": "", "ms": 12, "color": "#009e73"}, "named qualities"),
+            (counts, {"marker": "o", "ms": 4, "color": "#0072b2"}, f"Cycles {cycles['blender']}, samples"),
+        ):
+            axes.plot(*zip(*points.values(), strict=True), label=label, **style)
+            for name, at in points.items():
+                axes.annotate(name, at, (6, 4), textcoords="offset points", fontsize=8)
+        axes.set(xscale="log", yscale="log", xlabel="images an hour")
+        axes.set_title(f"seed {result['recipe']['seed']}")
         axes.margins(x=0.15)  # space for the names of qualities
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_formatter("{x:g}")
@@ -446,13 +448,7 @@ def main() -> None:
     """Run the command, which writes ``bench_cycles.json``, ``.md`` and ``.png``."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quality", choices=tuple(QUALITIES), default="standard")
-    parser.add_argument(
-        "--seed",
-        type=int,
-        nargs="+",
-        default=[2022],
-        help="seeds, each of which determines a room",
-    )
+    parser.add_argument("--seed", type=int, nargs="+", default=[2022], help="seeds: one room each")
     parser.add_argument("--qualities", nargs="+", choices=tuple(QUALITIES), default=list(QUALITIES))
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--size", type=int, nargs=2, default=(640, 384))

@@ -35,7 +35,7 @@ def uses_draco(path: Path) -> bool:
 def import_by_blender(
     path: Path, out_library: Path, options: ImportOptions, *, split: bool
 ) -> list[ImportedAsset]:
-    """Convert a file by way of Blender to packages below ``out_library``, and return their records.
+    """Import a file with Blender, write packages below ``out_library``, and return their records.
 
     Images outside the file's folder and ``options.allowed`` are omitted. Raises :class:`InputError` if
     Blender's module is not installed or cannot read the file, or if :func:`import_gltf` refuses the result.

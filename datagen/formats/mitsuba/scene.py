@@ -353,9 +353,6 @@ class _Parser:
                 expected = "matrix, translate, scale, rotate, lookat"
                 self.problem(f"{node.where}: <{child.tag}>", "in a transform", expected)
             matrix = step @ matrix
-        if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < 1e-20:
-            # not an error here: importers report the singular transforms of the shapes that they use
-            node.values.setdefault("_singular_transform", True)
         return matrix
 
 

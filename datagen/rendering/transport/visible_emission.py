@@ -27,32 +27,27 @@ def render_visible_emission(
     """Visible emission (P, 3) of ``pixels``, flat indices (P,), from ``num_samples`` rays each."""
     width, height = (int(v) for v in sensor.film().crop_size())
     with dr.suspend_grad():
-        count = dr.opaque(mi.UInt32, num_samples)
-        step = tuple(dr.opaque(mi.UInt32, part) for part in generator(num_samples))
-        radiance = _summed(emitters, sensor, mi.UInt32(pixels), (width, height), count, step, seed)
+        radiance = _summed(emitters, sensor, mi.UInt32(pixels), (width, height), num_samples, seed)
         dr.eval(radiance)
     return np.ascontiguousarray((np.array(radiance) / num_samples).T.astype(np.float32))
 
 
 @dr.syntax
 def _summed(
-    emitters: Any,
-    sensor: Any,
-    pixel: Array,
-    size: tuple[int, int],
-    num_samples: Array,
-    step: tuple[Array, ...],
-    seed: int,
+    emitters: Any, sensor: Any, pixel: Array, size: tuple[int, int], num_samples: int, seed: int
 ) -> Array:
     width, height = size
+    # opaque: one compiled kernel serves all counts and seeds
+    count: Any = dr.opaque(mi.UInt32, num_samples)
+    step_x, step_y = (dr.opaque(mi.UInt32, step) for step in generator(num_samples))
     key: Any = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
     shift_x, shift_y = mi.sample_tea_32(pixel, key)
     row: Any = pixel // width
     left, top = mi.Float(pixel - row * width), mi.Float(row)
     result = dr.zeros(mi.Color3f, dr.width(pixel))
     i = dr.zeros(mi.UInt32, dr.width(pixel))
-    while i < num_samples:
-        x, y = lattice_point(i, shift_x, step[0]), lattice_point(i, shift_y, step[1])
+    while i < count:
+        x, y = lattice_point(i, shift_x, step_x), lattice_point(i, shift_y, step_y)
         position = mi.Point2f((left + x) / width, (top + y) / height)
         ray, _ = sensor.sample_ray(mi.Float(0.0), mi.Float(0.5), position, mi.Point2f(0.5))
         result += _emission_ahead(emitters, ray)

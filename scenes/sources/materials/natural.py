@@ -14,7 +14,7 @@ def wood(
     gap: float = 0.0012,
 ) -> Material:  # fmt: skip
     """Sawn wood with its grain along u. ``planks``: columns and rows of boards; ``prints`` adds fingerprints
-    to the lacquer; ``wear``: amount of patches without varnish."""
+    to the varnish; ``wear``: how far it is worn off in patches, from 0 (intact)."""
     shift: Value = seed
     tone: Value = 0.5
     if planks:
